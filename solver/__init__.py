@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clay, contact and what moves them: Warp and numpy, never Blender.
+
+What needs Warp is loaded on first use, so that materials and mesh checks cost nothing to import.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from .closed_mesh import MeshError, check_closed_mesh
+from .material import Material
+from .settings import Settings
+
+if TYPE_CHECKING:
+    from .diagnostics import Diagnostics
+    from .fill import fill_mesh
+    from .scene import ClayBody, MeshCollider, Plane, Scene
+    from .solver import Solver
+
+__all__ = [
+    "ClayBody",
+    "Diagnostics",
+    "Material",
+    "MeshCollider",
+    "MeshError",
+    "Plane",
+    "Scene",
+    "Settings",
+    "Solver",
+    "check_closed_mesh",
+    "fill_mesh",
+]
+
+_LOADED_ON_USE = {
+    "ClayBody": "scene",
+    "Diagnostics": "diagnostics",
+    "MeshCollider": "scene",
+    "Plane": "scene",
+    "Scene": "scene",
+    "Solver": "solver",
+    "fill_mesh": "fill",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LOADED_ON_USE:
+        return getattr(import_module(f".{_LOADED_ON_USE[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

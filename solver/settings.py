@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How finely the solver works, and which parts of the model it uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MODELS = ("plastic_bonds",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Quality and parts of the model; without arguments, the live setting.
+
+    Raises:
+        ValueError: A value is out of range; the message names it and what is allowed.
+    """
+
+    substeps: int = 32
+    """Substeps in each 1/60 s; longer steps and fast tools get proportionally more."""
+    model: str = "plastic_bonds"
+    """The clay model, one of `MODELS`."""
+    viscosity: bool = True
+    """Resist flow with the material's viscosity; off, for ablation."""
+    elastoplasticity: bool = True
+    """Hold shape by bonds that yield; off, the clay is a fluid."""
+    friction: bool = True
+    """Coulomb friction on colliders; off, everything slides."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.substeps <= 4096:
+            raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
+        if self.model not in MODELS:
+            raise ValueError(
+                f"Settings.model is {self.model!r}; it must be one of {', '.join(MODELS)}."
+            )
