@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# make demo        model, bake, render and export the kindergarten scene into build/demo
+# make test        run all tests                       (TESTS=tests/solver runs some)
+# make bench       measure speed into build/bench
+# make report      run the physics experiments into build/report
+# make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
+# make lint        check style and types
+# make clean       delete all that was built, and the environment
+#
+# Each makes the Python environment first, if it does not stand. PYTHON=/path/to/python chooses the
+# Python (3.13 or 3.11), VENV=name the environment's folder.
+
+VENV ?= .venv
+PYTHON ?=
+TESTS ?= tests
+PLATFORMS ?=
+
+# A person's own Python settings must not reach into the environment.
+unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP
+export PYTHONNOUSERSITE = 1
+
+python = $(VENV)/bin/python
+
+.PHONY: demo test bench report extension lint format environment clean
+.DEFAULT_GOAL = demo
+
+environment:
+	@PYTHON='$(PYTHON)' tools/environment.sh '$(VENV)'
+
+demo: environment
+	@$(VENV)/bin/tactile-clay demo --output build/demo
+
+test: environment
+	@$(python) -m pytest $(TESTS)
+
+bench: environment
+	@$(python) tests/bench/run.py --output build/bench/bench.json
+
+report: environment
+	@$(python) tests/experiments/report.py --output build/report
+
+extension: environment
+	@$(python) tools/extension.py --output dist $(if $(PLATFORMS),--platforms $(PLATFORMS))
+
+lint: environment
+	@$(python) tools/lint.py
+
+format: environment
+	@$(python) -m ruff check --fix --quiet .
+	@$(python) -m ruff format --quiet .
+
+clean:
+	rm -rf build dist wheels $(VENV) *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
