@@ -61,34 +61,34 @@ _REFERENCE_FINGERS: Mapping[str, _Finger] = MappingProxyType(
             (-0.0140, 0.0290, 0.0010),
             (-0.0275, 0.0955, 0.0030),
             (0.0398, 0.0224, 0.0197),
-            (0.0120, 0.0112, 0.0090, 0.0079, 0.0064),
+            (0.0120, 0.0112, 0.0091, 0.0081, 0.0070),
         ),
         "middle": _Finger(
             (-0.0040, 0.0330, 0.0030),
             (-0.0070, 0.0976, 0.0055),
             (0.0446, 0.0263, 0.0214),
-            (0.0125, 0.0115, 0.0093, 0.0081, 0.0066),
+            (0.0125, 0.0115, 0.0094, 0.0083, 0.0072),
         ),
         "ring": _Finger(
             (0.0065, 0.0330, 0.0015),
             (0.0125, 0.0910, 0.0035),
             (0.0414, 0.0257, 0.0213),
-            (0.0122, 0.0109, 0.0087, 0.0076, 0.0062),
+            (0.0122, 0.0109, 0.0088, 0.0078, 0.0068),
         ),
         "little": _Finger(
             (0.0165, 0.0300, -0.0020),
             (0.0295, 0.0820, -0.0015),
             (0.0327, 0.0181, 0.0197),
-            (0.0115, 0.0100, 0.0077, 0.0068, 0.0055),
+            (0.0115, 0.0100, 0.0079, 0.0070, 0.0061),
         ),
     }
 )
 
 _THUMB_BASE = (-0.0190, 0.0200, -0.0100)
-_THUMB_DIRECTION = (-0.66, 0.68, -0.32)
+_THUMB_DIRECTION = (-0.64, 0.70, -0.32)
 _THUMB_NAIL = (-0.62, -0.28, 0.73)
 _THUMB_LENGTHS = (0.0462, 0.0316, 0.0273)
-_THUMB_RADII = (0.0150, 0.0125, 0.0106, 0.0076)
+_THUMB_RADII = (0.0150, 0.0125, 0.0110, 0.0086)
 
 
 @dataclass(frozen=True)
@@ -130,17 +130,17 @@ POSES: Mapping[str, HandPose] = MappingProxyType(
         ),
         "point": HandPose(
             index=(-2.0, 6.0, 6.0, 4.0),
-            middle=(0.0, 72.0, 92.0, 50.0),
-            ring=(2.0, 76.0, 92.0, 50.0),
-            little=(4.0, 78.0, 88.0, 48.0),
-            thumb=(22.0, 18.0, 20.0, 30.0, 30.0),
+            middle=(0.0, 80.0, 88.0, 40.0),
+            ring=(1.0, 83.0, 88.0, 40.0),
+            little=(2.0, 85.0, 88.0, 40.0),
+            thumb=(32.0, -5.0, 46.0, 30.0, 27.0),
         ),
         "pinch": HandPose(
-            index=(0.0, 48.0, 50.0, 26.0),
-            middle=(1.0, 30.0, 34.0, 18.0),
-            ring=(4.0, 24.0, 28.0, 16.0),
-            little=(9.0, 18.0, 24.0, 14.0),
-            thumb=(20.0, 30.0, 30.0, 16.0, 20.0),
+            index=(1.0, 38.0, 73.0, 40.0),
+            middle=(1.0, 26.0, 34.0, 20.0),
+            ring=(4.0, 20.0, 28.0, 18.0),
+            little=(9.0, 14.0, 24.0, 16.0),
+            thumb=(6.0, 20.0, 16.0, 15.0, 22.0),
         ),
     }
 )
@@ -196,7 +196,7 @@ def hand_mesh(
         side: "right" or "left"; the left hand is the mirror image in X.
         length: From the wrist joint to the tip of the straight middle finger [m].
         pose: A name in POSES, or joint angles of one's own.
-        edge_length: Typical edge of a triangle [m]; by default 2.2 % of the hand's length.
+        edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
 
     Returns:
         Vertices [m], shape [V, 3], and triangles that wind counter-clockwise seen from outside,
@@ -207,7 +207,7 @@ def hand_mesh(
             is too long to tell the fingers apart.
     """
     factor = _scale(side, length)
-    edge = 0.022 * _REFERENCE_LENGTH if edge_length is None else edge_length / factor[1]
+    edge = 0.024 * _REFERENCE_LENGTH if edge_length is None else edge_length / factor[1]
     if not 0.001 <= edge <= 0.006:
         raise ValueError(
             f"edge_length must be between {0.001 * factor[1]:.4f} and {0.006 * factor[1]:.4f} m "

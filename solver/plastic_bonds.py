@@ -240,14 +240,19 @@ class PlasticBonds:
         self.device = device
         self.clamped = wp.zeros(1, dtype=int, device=device)
         self.effective_shear_modulus = np.zeros(len(materials))
+        self._bulk_modulus = np.ones(len(materials))
         self._gravity = gravity
         self._time_step = math.nan
         self._common: Pass | None = None
         self._pair_laws: wp.array | None = None
         self._bodies: wp.array | None = None
 
-    def prepare(self, time_step: float) -> None:
-        """Work out the pair laws for substeps of ``time_step`` [s]."""
+    def prepare(self, time_step: float, longest_step: float) -> None:
+        """Work out the pair laws for substeps of ``time_step`` [s].
+
+        Stiffness and damping are those that the longest substep of this solver carries, so that
+        a step with more substeps does not change the material.
+        """
         if time_step == self._time_step:
             return
         self._time_step = time_step
@@ -255,7 +260,7 @@ class PlasticBonds:
         bodies = []
         shear = []
         for material in self.materials:
-            carried = material.density * (spacing / time_step) ** 2
+            carried = material.density * (spacing / longest_step) ** 2
             shear.append(min(material.shear_modulus, STIFFNESS_LIMIT * carried))
             body = Body()
             body.inverse_mass = 1.0 / (material.density * spacing**3)
@@ -263,8 +268,10 @@ class PlasticBonds:
                 BULK_OVER_SHEAR * material.shear_modulus, PRESSURE_LIMIT * carried
             )
             bodies.append(body)
+        self._bulk_modulus = np.array([body.bulk_modulus for body in bodies])
         self.effective_shear_modulus = np.array(shear)
-        laws = [self._pair_law(a, b) for a in range(len(shear)) for b in range(len(shear))]
+        count = len(self.materials)
+        laws = [self._pair_law(a, b, longest_step) for a in range(count) for b in range(count)]
         self._bodies = wp.array(bodies, dtype=Body, device=self.device)
         self._pair_laws = wp.array(laws, dtype=PairLaw, device=self.device)
         common = Pass()
@@ -284,7 +291,7 @@ class PlasticBonds:
         common.bonds = int(self.settings.elastoplasticity)
         self._common = common
 
-    def _pair_law(self, a: int, b: int) -> PairLaw:
+    def _pair_law(self, a: int, b: int, longest_step: float) -> PairLaw:
         """The weaker of two materials decides where their bond yields."""
         one, two = self.materials[a], self.materials[b]
         time_step, spacing = self._time_step, self.spacing
@@ -298,8 +305,12 @@ class PlasticBonds:
         law.tension_stretch = tension_force / law.stiffness
         law.flow_fraction = time_step / (time_step + viscosity * spacing / law.stiffness)
         lighter = min(one.density, two.density) * spacing**3
-        law.damping = DAMPING * lighter / time_step if self.settings.viscosity else 0.0
+        law.damping = DAMPING * lighter / longest_step if self.settings.viscosity else 0.0
         return law
+
+    def bulk_modulus(self, material: np.ndarray) -> np.ndarray:
+        """Bulk modulus of particles of the given material indices [Pa]."""
+        return self._bulk_modulus[material]
 
     def launch(
         self,
