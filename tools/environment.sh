@@ -27,7 +27,7 @@ candidates() {
         for name in "python$1" python3 python; do say "$folder/$name"; done
     done
     IFS=$old_ifs
-    home=${HOME:-/root}
+    home=${HOME:-/}
     for pattern in \
         "${PYENV_ROOT:-$home/.pyenv}/versions/$1*/bin/python" \
         "$home/.local/share/uv/python/cpython-$1*/bin/python$1" \

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What importing a part of the package may bring along."""
+
+import subprocess
+import sys
+
+import pytest
+
+BLOCK = """
+import sys
+
+class Block:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {names!r}:
+            raise ModuleNotFoundError("blocked: " + name, name=name)
+
+sys.meta_path.insert(0, Block())
+"""
+BLENDER_MODULES = {"bl_ext", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils"}
+
+
+def run_python(source: str) -> subprocess.CompletedProcess[str]:
+    """Run source in a fresh interpreter that does not wait for Blender's threads at its end."""
+    ending = "\nimport os, sys\nsys.stdout.flush()\nos._exit(0)\n"
+    return subprocess.run(
+        [sys.executable, "-c", source + ending], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize("name", ["solver", "haptics"])
+def test_part_imports_without_blender(name: str) -> None:
+    """Import the solver and the haptics where there is no Blender at all."""
+    result = run_python(BLOCK.format(names=BLENDER_MODULES) + f"import tactile_clay.{name}")
+    assert result.returncode == 0, result.stderr
+
+
+def test_block_hides_blender() -> None:
+    """Hide bpy, without which the test above would hold nothing."""
+    result = run_python(BLOCK.format(names=BLENDER_MODULES) + "import bpy")
+    assert result.returncode != 0
+    assert "blocked: bpy" in result.stderr
+
+
+def test_addon_registers_without_importing_warp() -> None:
+    """Leave Warp alone while the add-on is imported, registered and unregistered, twice."""
+    result = run_python(
+        "import sys, bpy, tactile_clay\n"
+        "for _ in range(2):\n"
+        "    tactile_clay.register()\n"
+        "    tactile_clay.unregister()\n"
+        "print('warp loaded:', any(name.partition('.')[0] == 'warp' for name in sys.modules))"
+    )
+    assert result.returncode == 0, result.stderr
+    assert "warp loaded: False" in result.stdout
+
+
+def test_addon_registers_where_warp_is_missing() -> None:
+    """Register and unregister where a broken installation has no Warp."""
+    result = run_python(
+        BLOCK.format(names={"warp", "pysplashsurf", "trimesh"})
+        + "import bpy, tactile_clay\ntactile_clay.register()\ntactile_clay.unregister()"
+    )
+    assert result.returncode == 0, result.stderr
