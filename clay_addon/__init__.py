@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All that is Blender: operators, panel, properties, bake, playback and the command line.
+
+Importing and registering this package imports no Warp: that is loaded with the first clay.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+_MODULES = (
+    "preferences",
+    "properties",
+    "make_clay",
+    "collider",
+    "bake_operators",
+    "playback",
+    "command_line",
+    "panel",
+)
+"""Submodules with a `register` and an `unregister`, in the order of registering."""
+
+_registered: list[str] = []
+
+__all__ = ["register", "unregister"]
+
+
+def register() -> None:
+    """Register every part with Blender; a second call does nothing.
+
+    If a part fails, those before it are taken back, so that nothing half-registered stays.
+    """
+    if _registered:
+        return
+    try:
+        for name in _MODULES:
+            importlib.import_module(f".{name}", __package__).register()
+            _registered.append(name)
+    except BaseException:
+        unregister()
+        raise
+
+
+def unregister() -> None:
+    """Take back all that `register` did; a second call does nothing."""
+    while _registered:
+        importlib.import_module(f".{_registered.pop()}", __package__).unregister()

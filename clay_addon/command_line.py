@@ -1,0 +1,409 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: bake, export and look into .blend files without an interface.
+
+The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
+``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .bake import BakeProgress
+
+EXIT_DONE = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_STALE = 3
+EXIT_INTERRUPTED = 130
+
+_EXIT_CODES = """\
+exit codes:
+  0    done
+  1    failed; the message says why and what to do
+  2    the command was not understood, or FILE.blend is not there
+  3    the bake is stale or not complete: bake again, or resume
+  130  interrupted; what is baked is kept, and --resume goes on
+"""
+
+
+class _CommandError(Exception):
+    """The command cannot be carried out."""
+
+    def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+def main(argv: Sequence[str]) -> int:
+    """Carry out a command on a .blend file that it names.
+
+    Args:
+        argv: The words after the program's name.
+
+    Returns:
+        The exit code: 0 done, 1 failed, 2 usage, 3 stale, 130 interrupted.
+    """
+    return _main(argv, program="tactile-clay", names_file=True)
+
+
+def main_in_blender(argv: Sequence[str]) -> int:
+    """Carry out a command on the file that is open in Blender; see `main`."""
+    return _main(argv, program="blender -b FILE.blend -c clay", names_file=False)
+
+
+def run() -> None:
+    """Carry out the command that the shell gave, and end the process."""
+    code = main(sys.argv[1:])
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # The bpy module of Blender 4.5 can hang while the interpreter is torn down.
+    os._exit(code)
+
+
+def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
+    parser = _parser(program, names_file=names_file)
+    try:
+        arguments = parser.parse_args(list(argv))
+    except SystemExit as end:
+        return int(end.code or 0)
+    try:
+        return arguments.carry_out(arguments)
+    except _CommandError as error:
+        print(f"{program}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print(f"{program}: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
+    def describe(text: str) -> dict[str, Any]:
+        return {
+            "help": text,
+            "description": text[0].upper() + text[1:] + ".",
+            "epilog": _EXIT_CODES,
+            "formatter_class": argparse.RawDescriptionHelpFormatter,
+        }
+
+    parser = argparse.ArgumentParser(
+        prog=program,
+        description="Simulate, export and inspect the clay of .blend files.",
+        epilog=_EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(
+        name: str, text: str, carry_out: Callable[[argparse.Namespace], int]
+    ) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, **describe(text))
+        command.set_defaults(carry_out=carry_out, file=None)
+        return command
+
+    def add_file_options(command: argparse.ArgumentParser) -> None:
+        if names_file:
+            command.add_argument("file", metavar="FILE.blend", type=Path)
+        command.add_argument("--scene", metavar="NAME", help="the scene; the file's active one")
+        command.add_argument("--cache", metavar="DIR", help="the cache folder; the scene's own")
+        command.add_argument("--json", action="store_true", help="print the result as JSON")
+
+    bake = add("bake", "simulate the clay into its cache", _bake)
+    add_file_options(bake)
+    bake.add_argument(
+        "--frames", metavar="A-B", type=_frame_range, help="frames to bake; the scene's own range"
+    )
+    bake.add_argument(
+        "--resume", action="store_true", help="keep the frames that are there and go on"
+    )
+    bake.add_argument(
+        "--device", choices=("auto", "cpu", "cuda:0"), help="where to compute; the preferences'"
+    )
+    bake.add_argument(
+        "--replace", action="store_true", help="bake over the cache of another .blend or scene"
+    )
+    bake.add_argument(
+        "--save", action="store_true", help="store --frames and --cache in the .blend, for playback"
+    )
+
+    export = add("export", "write the clay at a frame as one watertight mesh", _export)
+    add_file_options(export)
+    export.add_argument("--frame", type=int, metavar="N", help="the frame; the file's current one")
+    export.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the file to write: .stl, .obj, .ply or .glb",
+    )
+
+    info = add("info", "tell what clay a file holds and what is baked", _info)
+    add_file_options(info)
+
+    if names_file:
+        demo = add("demo", "make and render the kindergarten scene", _demo)
+        demo.add_argument(
+            "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
+        )
+    return parser
+
+
+def _frame_range(text: str) -> tuple[int, int]:
+    """Two frame numbers from ``1-120``; either may be negative: ``-10--1``."""
+    for split in range(1, len(text)):
+        if text[split] == "-":
+            with contextlib.suppress(ValueError):
+                start, end = int(text[:split]), int(text[split + 1 :])
+                if end < start:
+                    raise argparse.ArgumentTypeError(f"{text!r} ends before it starts")
+                return start, end
+    raise argparse.ArgumentTypeError(f"{text!r} is not a range such as 1-120")
+
+
+# The commands ----------------------------------------------------------------------------------
+
+
+def _bake(arguments: argparse.Namespace) -> int:
+    context, scene = _open(arguments)
+    from .bake import BakeError, BakeStaleError, bake
+    from .cache import CacheError
+
+    start, end = arguments.frames or (None, None)
+    line = _ProgressLine(sys.stderr)
+    try:
+        with context.temp_override(scene=scene):
+            result = bake(
+                context,
+                start=start,
+                end=end,
+                directory=_absolute(arguments.cache),
+                resume=arguments.resume,
+                device=arguments.device,
+                replace_other=arguments.replace,
+                progress=line,
+            )
+    except BakeStaleError as error:
+        raise _CommandError(str(error), EXIT_STALE) from error
+    except (BakeError, CacheError) as error:
+        raise _CommandError(str(error)) from error
+    finally:
+        line.end()
+    if arguments.save:
+        _save(scene, arguments)
+    for warning in result.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    table = asdict(replace(result, directory=result.directory))
+    table["directory"] = str(result.directory)
+    milliseconds = result.median_frame_milliseconds
+    pace = f", {milliseconds:.0f} ms a frame" if milliseconds is not None else ""
+    _say(
+        arguments,
+        table,
+        f"Frames {result.start} to {result.end}: {result.baked} baked, {result.kept} kept{pace} "
+        f"({result.particle_count:,} particles on {result.device}).\nCache: {result.directory}",
+    )
+    return EXIT_DONE
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    context, scene = _open(arguments)
+    from . import export
+    from .cache import CacheError
+    from .playback import message
+
+    if arguments.cache is not None:
+        scene.tactile_clay.cache_directory = _absolute(arguments.cache)
+    frame = scene.frame_current if arguments.frame is None else arguments.frame
+    with context.temp_override(scene=scene):
+        scene.frame_set(frame)
+        if message(scene):
+            raise _CommandError(message(scene), EXIT_STALE)
+        try:
+            table = export.export_clay(context, arguments.output)
+        except (CacheError, ValueError, OSError, RuntimeError) as error:
+            raise _CommandError(str(error)) from error
+    _say(arguments, {"frame": frame, **table}, f"Frame {frame} written to {arguments.output}")
+    return EXIT_DONE
+
+
+def _info(arguments: argparse.Namespace) -> int:
+    context, scene = _open(arguments)
+    from .inspect import describe, inspect
+
+    with context.temp_override(scene=scene):
+        table = inspect(context, _absolute(arguments.cache))
+    _say(arguments, table, describe(table))
+    bake = table["bake"]
+    whole = bool(bake["frames"]) and not bake["missing"] and not bake["stale"]
+    return EXIT_DONE if whole or not bake["frames"] else EXIT_STALE
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    _need_bpy()
+    from . import demo
+
+    return demo.main(["--output", str(arguments.output)])
+
+
+# What they share -------------------------------------------------------------------------------
+
+
+def _need_bpy() -> Any:
+    try:
+        import bpy
+    except ImportError as error:
+        raise _CommandError(
+            "The bpy module is missing. Install it into this Python (the package bpy: 5.2 for "
+            "Python 3.13, 4.5 for Python 3.11), or run the command inside Blender: "
+            "blender -b FILE.blend -c clay …"
+        ) from error
+    return bpy
+
+
+def _open(arguments: argparse.Namespace) -> tuple[Any, Any]:
+    """The context and the scene that a command is about, with the file open."""
+    bpy = _need_bpy()
+    if arguments.file is not None:
+        path = arguments.file.absolute()
+        if not path.is_file():
+            raise _CommandError(f"There is no file {path}.", EXIT_USAGE)
+        from . import register
+
+        register()
+        try:
+            with _quiet(sys.stdout):
+                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+        except RuntimeError as error:
+            raise _CommandError(f"{path} cannot be opened: {error}", EXIT_USAGE) from error
+    context = bpy.context
+    if arguments.scene is None:
+        return context, context.scene
+    scene = bpy.data.scenes.get(arguments.scene)
+    if scene is None:
+        known = ", ".join(each.name for each in bpy.data.scenes)
+        raise _CommandError(
+            f"There is no scene {arguments.scene!r}. There are: {known}.", EXIT_USAGE
+        )
+    if context.window is not None:
+        context.window.scene = scene
+    return context, scene
+
+
+def _absolute(cache: str | None) -> str | None:
+    """A folder given in the shell is relative to the shell; ``//`` to the .blend."""
+    if cache is None or cache.startswith("//"):
+        return cache
+    return str(Path(cache).absolute())
+
+
+def _save(scene: Any, arguments: argparse.Namespace) -> None:
+    import bpy
+
+    properties = scene.tactile_clay
+    if arguments.frames:
+        properties.use_scene_range = False
+        properties.frame_start, properties.frame_end = arguments.frames
+    if arguments.cache is not None:
+        properties.cache_directory = _absolute(arguments.cache)
+    if not bpy.data.filepath:
+        raise _CommandError("The bake is done, but the .blend has no name to be saved under.")
+    try:
+        with _quiet(sys.stdout):
+            bpy.ops.wm.save_mainfile()
+    except RuntimeError as error:
+        raise _CommandError(f"The bake is done, but the .blend cannot be saved: {error}") from error
+
+
+def _say(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> None:
+    print(json.dumps(_without_nan(table), indent=2, default=str) if arguments.json else text)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def _quiet(stream: IO[str]) -> Any:
+    """Send what Blender prints to the standard output to the standard error instead."""
+    try:
+        number = stream.fileno()
+    except (OSError, AttributeError, io.UnsupportedOperation):
+        yield
+        return
+    stream.flush()
+    kept = os.dup(number)
+    try:
+        os.dup2(2, number)
+        yield
+    finally:
+        stream.flush()
+        os.dup2(kept, number)
+        os.close(kept)
+
+
+class _ProgressLine:
+    """Tells how far a bake is: a bar on a terminal, now and then a plain line elsewhere."""
+
+    _WIDTH = 24
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._bar = stream.isatty()
+        self._told = -1
+
+    def __call__(self, progress: BakeProgress) -> None:
+        from .bake_operators import duration_text
+
+        share = progress.done / max(1, progress.total)
+        left = f"{duration_text(progress.seconds_left)} left"
+        text = f"frame {progress.frame}, {progress.done} of {progress.total}, {left}"
+        if self._bar:
+            filled = round(self._WIDTH * share)
+            bar = "█" * filled + "░" * (self._WIDTH - filled)
+            self._stream.write(f"\r{bar} {text}\033[K")
+            self._stream.flush()
+        elif int(10 * share) > self._told:
+            self._told = int(10 * share)
+            print(text, file=self._stream, flush=True)
+
+    def end(self) -> None:
+        """Leave the bar's line."""
+        if self._bar:
+            self._stream.write("\n")
+            self._stream.flush()
+
+
+_command: Any = None
+
+
+def register() -> None:
+    """Make ``blender -c clay`` known."""
+    global _command
+    import bpy
+
+    _command = bpy.utils.register_cli_command("clay", main_in_blender)
+
+
+def unregister() -> None:
+    """Forget ``blender -c clay``."""
+    global _command
+    import bpy
+
+    if _command is not None:
+        bpy.utils.unregister_cli_command(_command)
+        _command = None

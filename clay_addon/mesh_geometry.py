@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Triangles of an evaluated Blender mesh, as numpy arrays."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+
+def evaluated_mesh(
+    item: bpy.types.Object, depsgraph: bpy.types.Depsgraph
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices and triangles of a mesh object with its modifiers applied.
+
+    Args:
+        item: A mesh object.
+        depsgraph: The evaluated state to take it from.
+
+    Returns:
+        Vertices in the object's coordinates [Blender units], shape [V, 3], and triangles, shape
+        [F, 3], counter-clockwise seen from outside.
+    """
+    evaluated = item.evaluated_get(depsgraph)
+    mesh = evaluated.to_mesh()
+    try:
+        vertices = np.empty((len(mesh.vertices), 3), np.float32)
+        if len(vertices):
+            mesh.attributes["position"].data.foreach_get("vector", vertices.ravel())
+        mesh.calc_loop_triangles()
+        triangles = np.empty((len(mesh.loop_triangles), 3), np.int32)
+        mesh.loop_triangles.foreach_get("vertices", triangles.ravel())
+    finally:
+        evaluated.to_mesh_clear()
+    return vertices.astype(np.float64), triangles
+
+
+def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Points moved by a 4×4 matrix, shape [N, 3]."""
+    affine = np.asarray(matrix, np.float64)
+    return np.asarray(points, np.float64) @ affine[:3, :3].T + affine[:3, 3]
+
+
+def turn_for(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The triangles, wound the other way round where the matrix mirrors."""
+    if np.linalg.det(np.asarray(matrix, np.float64)[:3, :3]) < 0:
+        return np.ascontiguousarray(triangles[:, ::-1])
+    return triangles
+
+
+def flat_plane(
+    vertices: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Point and unit normal of the plane that all vertices lie in; None if they don't.
+
+    A line or a point lies in no particular plane, so it gives None too.
+    """
+    if len(vertices) < 3 or not np.isfinite(vertices).all():
+        return None
+    center = vertices.mean(0)
+    _, extents, axes = np.linalg.svd(vertices - center, full_matrices=False)
+    if extents[2] > 1e-5 * extents[0] or extents[1] <= 1e-5 * extents[0]:
+        return None
+    return center, axes[2]

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The *Clay* tab in the sidebar of the 3D view."""
+
+from __future__ import annotations
+
+import time
+
+import bpy
+
+from . import bake_operators, playback
+from .bake import changes_at_a_glance
+from .bake_operators import duration_text, size_text
+from .cache import Cache, CacheError
+from .preferences import draw_missing_parts, draw_text
+from .properties import frame_range
+from .simulation import clay_objects, collider_objects
+
+_GLANCE_SECONDS = 1.0
+"""The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
+
+_glance: dict[str, tuple[float, str, str]] = {}
+
+
+class _ClayPanel:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Clay"
+
+
+class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """Making clay, and what it is made of."""
+
+    bl_label = "Clay"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        if draw_missing_parts(layout):
+            return
+        scene = context.scene
+        item = context.object
+        column = layout.column()
+        column.prop(scene.tactile_clay, "spacing")
+        column.prop(scene.tactile_clay, "material_preset")
+        column.operator("clay.make", icon="META_BALL")
+        if item is None or item.tactile_clay.role != "CLAY":
+            if not clay_objects(scene):
+                draw_text(layout, "Select one or more closed meshes, then Make Clay.", icon="INFO")
+            return
+        clay = item.tactile_clay
+        box = layout.box()
+        box.label(text=item.name, icon="POINTCLOUD_DATA")
+        box.label(text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
+                  if scene.unit_settings.scale_length == 1.0
+                  else f"{len(item.data.points):,} particles")
+        column = box.column()
+        for name in (
+            "material_preset", "density", "yield_stress", "viscosity", "shear_modulus", "friction",
+        ):
+            column.prop(clay, name)
+
+
+class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """What presses on the clay."""
+
+    bl_label = "Colliders"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        row = layout.row(align=True)
+        row.operator("clay.collider_add", icon="MOD_PHYSICS")
+        row.operator("clay.collider_remove", text="", icon="X")
+        for collider in collider_objects(context.scene):
+            layout.label(text=collider.name, icon="MESH_DATA")
+        item = context.object
+        if item is not None and item.tactile_clay.role == "COLLIDER":
+            box = layout.box()
+            box.label(text=item.name)
+            box.prop(item.tactile_clay, "collider_kind")
+            box.prop(item.tactile_clay, "collider_friction")
+
+
+class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """The bake: its range, its folder, its state."""
+
+    bl_label = "Bake"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        scene = context.scene
+        properties = scene.tactile_clay
+        column = layout.column()
+        column.prop(properties, "use_scene_range")
+        if not properties.use_scene_range:
+            column.prop(properties, "frame_start")
+            column.prop(properties, "frame_end")
+        column.prop(properties, "substeps")
+        column.prop(properties, "cache_directory")
+        running = bake_operators.running
+        if running is not None:
+            layout.progress(
+                factor=running.done / max(1, running.total),
+                text=f"Frame {running.frame}: {duration_text(running.seconds_left)} left",
+            )
+            layout.label(text="Esc stops; what is baked is kept", icon="INFO")
+            return
+        row = layout.row(align=True)
+        row.operator("clay.bake", icon="PHYSICS")
+        row.operator("clay.resume", icon="PLAY")
+        row.operator("clay.free", icon="TRASH")
+        cache = playback.cache_of(scene)
+        if cache is None:
+            draw_text(
+                layout,
+                "Save the .blend first: the bake goes into a folder beside it.",
+                icon="INFO",
+            )
+            return
+        state, warning = cache_state(scene, cache)
+        draw_text(layout, state, icon="INFO")
+        for text in (warning, playback.message(scene)):
+            if text:
+                draw_text(layout.box(), text, icon="ERROR")
+
+
+class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """Taking the shape out of Blender."""
+
+    bl_label = "Export"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only once there is clay to export."""
+        return hasattr(bpy.types, "CLAY_OT_export") and bool(clay_objects(context.scene))
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        self.layout.operator("clay.export", icon="EXPORT")
+
+
+def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
+    """What the cache holds, and what is wrong with it, in words; looked up once a second."""
+    known = _glance.get(scene.name)
+    if known is not None and time.monotonic() - known[0] < _GLANCE_SECONDS:
+        return known[1], known[2]
+    frames = cache.frames()
+    warning = ""
+    if not frames:
+        state = "Not baked yet."
+    else:
+        start, end = frame_range(scene)
+        inside = [frame for frame in frames if start <= frame <= end]
+        state = (
+            f"{len(inside)} of {end + 1 - start} frames baked, {size_text(cache.size())} on disk."
+        )
+        try:
+            changed = changes_at_a_glance(scene, cache.meta())
+            if changed:
+                warning = (
+                    f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."
+                )
+        except CacheError as error:
+            warning = f"The cache cannot be used: {error}. Bake again."
+    _glance[scene.name] = (time.monotonic(), state, warning)
+    return state, warning
+
+
+_CLASSES = (CLAY_PT_clay, CLAY_PT_colliders, CLAY_PT_bake, CLAY_PT_export)
+
+
+def register() -> None:
+    """Register the panels."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister the panels."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
+    _glance.clear()

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# mypy: disable-error-code="valid-type"
+"""What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
+
+import zlib
+from typing import Any
+
+import bpy
+
+from ..solver.material import Material
+
+CUSTOM = "CUSTOM"
+
+_MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
+
+
+def _preset_items() -> list[tuple[str, str, str, str, int]]:
+    # A .blend keeps the number, so it must stay the same when presets come and go.
+    items = [(CUSTOM, "Custom", "Values of your own", "NONE", 0)]
+    for name in Material.preset_names():
+        label = name.replace("_", " ").capitalize()
+        material = Material.preset(name)
+        description = (
+            f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
+        )
+        items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
+    return items
+
+
+PRESET_ITEMS = _preset_items()
+PRESET_DEFAULT = "plasticine"
+
+
+_filling = False
+
+
+def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
+    global _filling
+    if properties.material_preset == CUSTOM:
+        return
+    material = Material.preset(properties.material_preset)
+    _filling = True
+    try:
+        for name in _MATERIAL_VALUES:
+            setattr(properties, name, getattr(material, name))
+    finally:
+        _filling = False
+
+
+def _become_custom(properties: Any, context: bpy.types.Context) -> None:
+    if not _filling and properties.material_preset != CUSTOM:
+        properties.material_preset = CUSTOM
+
+
+def _get_spacing(properties: Any) -> float:
+    # Half a centimetre whatever the scene's unit scale, until a value is chosen.
+    return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
+
+
+def _set_spacing(properties: Any, value: float) -> None:
+    properties.spacing_chosen = value
+
+
+class ClaySource(bpy.types.PropertyGroup):
+    """A mesh that clay was made from."""
+
+    source: bpy.props.PointerProperty(name="Source", type=bpy.types.Object)
+
+
+class ClayObjectProperties(bpy.types.PropertyGroup):
+    """What an object is to the clay. Lengths are in Blender units, all else in SI units."""
+
+    role: bpy.props.EnumProperty(
+        name="Role",
+        items=(
+            ("NONE", "None", "Nothing to do with clay"),
+            ("CLAY", "Clay", "A point cloud of clay particles"),
+            ("COLLIDER", "Collider", "A mesh that presses on the clay"),
+        ),
+        default="NONE",
+    )
+    material_preset: bpy.props.EnumProperty(
+        name="Material",
+        description="What the clay is made of; choosing one fills in the values below",
+        items=PRESET_ITEMS,
+        default=PRESET_DEFAULT,
+        update=_fill_from_preset,
+    )
+    density: bpy.props.FloatProperty(
+        name="Density (kg/m³)",
+        description="Mass of a cubic metre at rest [kg/m³]",
+        default=1700.0,
+        min=1.0,
+        soft_max=10000.0,
+        update=_become_custom,
+    )
+    yield_stress: bpy.props.FloatProperty(
+        name="Yield Stress (Pa)",
+        description="Shear stress at which the clay starts to flow [Pa]",
+        default=5000.0,
+        min=0.0,
+        soft_max=100000.0,
+        update=_become_custom,
+    )
+    viscosity: bpy.props.FloatProperty(
+        name="Viscosity (Pa·s)",
+        description="Resistance to flow beyond the yield stress [Pa·s]",
+        default=200.0,
+        min=0.0,
+        soft_max=5000.0,
+        update=_become_custom,
+    )
+    shear_modulus: bpy.props.FloatProperty(
+        name="Shear Modulus (Pa)",
+        description="Stiffness below the yield stress [Pa]",
+        default=100000.0,
+        min=1.0,
+        soft_max=1000000.0,
+        update=_become_custom,
+    )
+    friction: bpy.props.FloatProperty(
+        name="Friction",
+        description="Coulomb friction coefficient of the clay; a contact takes the mean of both",
+        default=0.5,
+        min=0.0,
+        soft_max=1.0,
+        update=_become_custom,
+    )
+    spacing: bpy.props.FloatProperty(
+        name="Spacing",
+        description="Distance between particles; fixed when the clay is made",
+        subtype="DISTANCE",
+        unit="LENGTH",
+        default=0.0,
+        min=0.0,
+        precision=4,
+    )
+    sources: bpy.props.CollectionProperty(
+        name="Sources", description="The meshes the clay was made from", type=ClaySource
+    )
+    collider_kind: bpy.props.EnumProperty(
+        name="Shape",
+        description="How the clay meets this object",
+        items=(
+            ("AUTO", "Automatic", "A flat mesh is an endless plane, any other a closed mesh"),
+            ("MESH", "Closed mesh", "The mesh itself; it may move and deform"),
+            ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
+        ),
+        default="AUTO",
+    )
+    collider_friction: bpy.props.FloatProperty(
+        name="Friction",
+        description="Coulomb friction coefficient of the collider; a contact takes the mean of both",
+        default=0.5,
+        min=0.0,
+        soft_max=1.0,
+    )
+
+
+class ClaySceneProperties(bpy.types.PropertyGroup):
+    """How the clay of a scene is made and baked."""
+
+    spacing: bpy.props.FloatProperty(
+        name="Spacing",
+        description=(
+            "Distance between the particles of new clay: half as much shows twice the detail and "
+            "takes about ten times as long"
+        ),
+        subtype="DISTANCE",
+        unit="LENGTH",
+        min=1e-6,
+        soft_min=1e-4,
+        precision=4,
+        get=_get_spacing,
+        set=_set_spacing,
+    )
+    spacing_chosen: bpy.props.FloatProperty(options={"HIDDEN"})
+    material_preset: bpy.props.EnumProperty(
+        name="Material",
+        description="What new clay is made of",
+        items=[item for item in PRESET_ITEMS if item[0] != CUSTOM],
+        default=PRESET_DEFAULT,
+    )
+    substeps: bpy.props.IntProperty(
+        name="Substeps",
+        description="Solver steps in each sixtieth of a second; 0 takes the solver's own choice",
+        default=0,
+        min=0,
+        max=4096,
+    )
+    cache_directory: bpy.props.StringProperty(
+        name="Cache",
+        description="Folder of the bake; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        default="//clay_cache",
+    )
+    use_scene_range: bpy.props.BoolProperty(
+        name="Scene Range",
+        description="Bake the frame range of the scene",
+        default=True,
+    )
+    frame_start: bpy.props.IntProperty(
+        name="Start", description="First frame: the clay as it was made", default=1
+    )
+    frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
+
+
+def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
+    """First and last frame to bake."""
+    properties = scene.tactile_clay
+    if properties.use_scene_range:
+        return scene.frame_start, scene.frame_end
+    return properties.frame_start, properties.frame_end
+
+
+_CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)
+
+
+def register() -> None:
+    """Register the property groups and hang them on objects and scenes."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.tactile_clay = bpy.props.PointerProperty(type=ClayObjectProperties)
+    bpy.types.Scene.tactile_clay = bpy.props.PointerProperty(type=ClaySceneProperties)
+
+
+def unregister() -> None:
+    """Take the property groups away; what a .blend keeps stays in it."""
+    del bpy.types.Scene.tactile_clay
+    del bpy.types.Object.tactile_clay
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

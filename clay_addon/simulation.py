@@ -1,0 +1,432 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a Blender scene to a solver: the clay, the colliders, and what decides the result.
+
+Blender's units are turned into metres here, and back, and nowhere else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..solver.closed_mesh import MeshError
+from ..solver.material import Material
+from ..solver.settings import Settings
+from .cache import ClaySlice
+from .collider import ColliderError, resolve_kind
+from .mesh_geometry import evaluated_mesh, flat_plane, transform, turn_for
+from .preferences import device_choice, missing_parts
+
+if TYPE_CHECKING:
+    from ..solver import MeshCollider, Solver
+
+
+class SimulationError(Exception):
+    """A scene cannot be simulated; the message says why and what to do."""
+
+
+def clay_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The clay of a scene, by name: the order of the particles in the solver and the cache."""
+    found = [
+        item
+        for item in scene.objects
+        if item.type == "POINTCLOUD" and item.tactile_clay.role == "CLAY"
+    ]
+    return sorted(found, key=lambda item: item.name)
+
+
+def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The colliders of a scene, by name."""
+    found = [item for item in scene.objects if item.tactile_clay.role == "COLLIDER"]
+    return sorted(found, key=lambda item: item.name)
+
+
+def frames_per_second(scene: bpy.types.Scene) -> float:
+    """Frames in one second [1/s]."""
+    return scene.render.fps / scene.render.fps_base
+
+
+def read_points(
+    item: bpy.types.Object, attribute: str, width: int = 3
+) -> NDArray[np.float32] | None:
+    """An attribute of a point cloud, shape [N, width]; None if there is no such attribute."""
+    layer = item.data.attributes.get(attribute)
+    key = {"FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}.get(layer.data_type) if layer else None
+    if layer is None or key is None:
+        return None
+    values = np.empty((len(layer.data), width), np.float32)
+    layer.data.foreach_get(key, values.ravel())
+    return values
+
+
+def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
+    """Colours of a clay object's points, linear RGBA, shape [N, 4]; white if it has none."""
+    colors = read_points(item, "Color", 4)
+    return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
+
+
+def rest_positions(item: bpy.types.Object) -> NDArray[np.float32]:
+    """World positions the clay starts from [Blender units], shape [N, 3].
+
+    Raises:
+        SimulationError: The object is not as Make Clay made it, or it is scaled.
+    """
+    local = read_points(item, "rest_position")
+    if local is None:
+        raise SimulationError(
+            f"{item.name!r} has lost its attribute rest_position, so the shape it starts from is "
+            "unknown. Undo, or make the clay again."
+        )
+    if not len(local):
+        raise SimulationError(f"{item.name!r} has no points. Make the clay again.")
+    bad = int((~np.isfinite(local).all(1)).sum())
+    if bad:
+        raise SimulationError(f"{item.name!r} has {bad} points that are not finite. Delete them.")
+    matrix = np.array(item.matrix_world, np.float64)
+    if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-4):
+        raise SimulationError(
+            f"{item.name!r} is scaled, so its particles no longer have their spacing. Clear the "
+            "scale (Alt+S), scale the meshes it was made from, and make the clay again."
+        )
+    return transform(matrix, local).astype(np.float32)
+
+
+def material_of(item: bpy.types.Object) -> Material:
+    """What a clay object is made of."""
+    values = item.tactile_clay
+    return Material(
+        density=values.density,
+        yield_stress=values.yield_stress,
+        viscosity=values.viscosity,
+        shear_modulus=values.shear_modulus,
+        friction=values.friction,
+    )
+
+
+def solver_settings(scene: bpy.types.Scene) -> Settings:
+    """The solver's settings for a scene."""
+    substeps = scene.tactile_clay.substeps
+    return Settings(substeps=substeps) if substeps else Settings()
+
+
+def solver_device(context: bpy.types.Context, device: str | None = None) -> str:
+    """The device to compute on: ``cpu`` or ``cuda:0``.
+
+    Args:
+        context: Where the preferences are.
+        device: ``auto``, ``cpu`` or ``cuda:0``; the preferences' where not given.
+
+    Raises:
+        SimulationError: Warp is missing, or there is no such device.
+    """
+    for sentence in missing_parts():
+        raise SimulationError(sentence)
+    import warp
+
+    device = device or device_choice(context)
+    cards = warp.get_cuda_device_count()
+    if device == "auto":
+        return "cuda:0" if cards else "cpu"
+    if device != "cpu" and not (device.startswith("cuda:") and device[5:].isdigit()):
+        raise SimulationError(f"There is no device {device!r}. There are: auto, cpu, cuda:0.")
+    if device != "cpu" and int(device[5:]) >= cards:
+        raise SimulationError(
+            f"This machine has no CUDA device {device!r}. Choose auto or cpu in the preferences."
+        )
+    return device
+
+
+@dataclass
+class _MovingCollider:
+    """A mesh collider, as it is at the first frame."""
+
+    item: bpy.types.Object
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    stretch: NDArray[np.float64]
+    handle: MeshCollider | None = None
+
+
+@dataclass
+class _FlatCollider:
+    """An endless plane, which stands still."""
+
+    item: bpy.types.Object
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
+
+
+class Simulation:
+    """A Blender scene ready to be simulated, as it is at the current frame.
+
+    The current frame must be the first one. Making it checks everything that can be checked and
+    starts no solver yet.
+
+    Args:
+        context: Its scene is what is simulated.
+        device: See `solver_device`.
+
+    Raises:
+        SimulationError: Something in the scene is wrong; the message names the object and says
+            what to do.
+    """
+
+    def __init__(self, context: bpy.types.Context, *, device: str | None = None) -> None:
+        scene = context.scene
+        self.scene = scene
+        self.device = solver_device(context, device)
+        self.scale = scene.unit_settings.scale_length
+        clay = clay_objects(scene)
+        if not clay:
+            raise SimulationError(
+                "There is no clay in the scene. Select closed meshes and press Make Clay."
+            )
+        depsgraph = context.evaluated_depsgraph_get()
+        self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
+        self.materials = tuple(_checked_material(item) for item in clay)
+        self.rest = [rest_positions(item) for item in clay]
+        self.colors = np.concatenate([clay_colors(item) for item in clay])
+        self.spacing = _common_spacing(clay, self.scale)
+        self.settings = solver_settings(scene)
+        self.time_step = 1.0 / frames_per_second(scene)
+        gravity = np.array(scene.gravity if scene.use_gravity else (0.0, 0.0, 0.0), np.float64)
+        self.gravity = gravity * self.scale
+        self._planes: list[_FlatCollider] = []
+        self._meshes: list[_MovingCollider] = []
+        self._frictions: dict[str, float] = {}
+        middle = np.concatenate(self.rest).astype(np.float64).mean(0)
+        for item in collider_objects(scene):
+            self._add_collider(item, depsgraph, middle)
+        self.solver: Solver | None = None
+
+    def _add_collider(
+        self,
+        item: bpy.types.Object,
+        depsgraph: bpy.types.Depsgraph,
+        middle: NDArray[np.float64],
+    ) -> None:
+        try:
+            kind = resolve_kind(item, item.tactile_clay.collider_kind, depsgraph)
+        except ColliderError as error:
+            raise SimulationError(str(error)) from error
+        vertices, triangles = evaluated_mesh(item, depsgraph)
+        matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
+        self._frictions[item.name] = item.tactile_clay.collider_friction
+        if kind == "MESH":
+            _, stretch = _rotation_and_stretch(matrix)
+            self._meshes.append(
+                _MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
+            )
+            return
+        flat = flat_plane(transform(matrix, vertices))
+        assert flat is not None
+        point, normal = flat
+        # The free side of a table is the side the clay is on, whichever way its face is turned.
+        side = float(normal @ (middle - point))
+        if abs(side) < 1e-9:
+            side = normal[2]
+        self._planes.append(_FlatCollider(item, point, normal if side >= 0 else -normal))
+
+    # What decides the result ------------------------------------------------------------------
+
+    def digests(self) -> dict[str, str]:
+        """A digest for each subject that decides the result, to tell which one has changed."""
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            warp_version = version("warp-lang")
+        except PackageNotFoundError:
+            warp_version = "unknown"
+        return {
+            **scene_digests(self.scene),
+            "colliders": _digest(
+                self._frictions,
+                *((part.point, part.normal) for part in self._planes),
+                *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
+            ),
+            "device": f"{self.device.partition(':')[0]} (Warp {warp_version})",
+        }
+
+    # Running ----------------------------------------------------------------------------------
+
+    def start(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Build the solver in its rest state, at the current frame.
+
+        Raises:
+            SimulationError: The solver refuses the scene; the message says why.
+        """
+        from ..solver import Scene, Solver
+
+        try:
+            scene = Scene(spacing=self.spacing * self.scale, gravity=self.gravity.tolist())
+            first = 0
+            for points, material in zip(self.rest, self.materials, strict=True):
+                colors = self.colors[first : first + len(points)]
+                scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
+                first += len(points)
+            for plane in self._planes:
+                friction = self._frictions[plane.item.name]
+                scene.add_plane(plane.point * self.scale, plane.normal, friction=friction)
+            for part in self._meshes:
+                vertices, _ = self._state(part, depsgraph)
+                friction = self._frictions[part.item.name]
+                part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+            self.feed(depsgraph)
+            self.solver = Solver(scene, self.settings, device=self.device)
+        except (MeshError, ValueError, RuntimeError) as error:
+            raise SimulationError(f"The solver cannot take this scene: {error}") from error
+
+    def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
+        """Tell the solver, if it runs, where the colliders are at the current frame.
+
+        Returns:
+            Sixteen bytes that say what the colliders do.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow.
+        """
+        self._check_planes(depsgraph)
+        states = [self._state(part, depsgraph) for part in self._meshes]
+        for part, (vertices, pose) in zip(self._meshes, states, strict=True):
+            if part.handle is None:
+                continue
+            try:
+                if not np.array_equal(vertices, part.handle.vertices):
+                    part.handle.set_vertices(vertices)
+                part.handle.set_pose(pose)
+            except ValueError as error:
+                raise SimulationError(
+                    f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
+                ) from error
+        return bytes.fromhex(_digest(*states))
+
+    def step(self) -> None:
+        """Advance by one frame, to where `feed` put the colliders."""
+        assert self.solver is not None
+        self.solver.step(self.time_step)
+
+    def positions(self) -> NDArray[np.float32]:
+        """World positions [Blender units], shape [N, 3]."""
+        assert self.solver is not None
+        return (self.solver.positions() / self.scale).astype(np.float32)
+
+    def velocities(self) -> NDArray[np.float32]:
+        """World velocities [Blender units/s], shape [N, 3]."""
+        assert self.solver is not None
+        return (self.solver.velocities() / self.scale).astype(np.float32)
+
+    def _state(
+        self, part: _MovingCollider, depsgraph: bpy.types.Depsgraph
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vertices with the object's scale in them [m], and its pose without it [m]."""
+        vertices, _ = evaluated_mesh(part.item, depsgraph)
+        if vertices.shape != part.vertices.shape:
+            raise SimulationError(
+                f"{part.item.name!r} has {len(vertices)} vertices at frame "
+                f"{self.scene.frame_current} and {len(part.vertices)} at the first frame. A "
+                "collider may deform, but the number of its vertices must stay the same."
+            )
+        matrix = np.array(part.item.evaluated_get(depsgraph).matrix_world, np.float64)
+        if not (np.isfinite(vertices).all() and np.isfinite(matrix).all()):
+            raise SimulationError(
+                f"{part.item.name!r} is not finite (NaN or infinite) at frame "
+                f"{self.scene.frame_current}."
+            )
+        rotation, stretch = _rotation_and_stretch(matrix)
+        # Blender's matrices are single precision: without this, a tool that only turns would seem
+        # to change its shape in every frame.
+        if np.allclose(stretch, part.stretch, rtol=0.0, atol=2e-6 * np.abs(stretch).max()):
+            stretch = part.stretch
+        elif np.linalg.det(stretch) * np.linalg.det(part.stretch) <= 0.0:
+            raise SimulationError(
+                f"{part.item.name!r} is scaled flat or turned inside out at frame "
+                f"{self.scene.frame_current}. Keep its scale away from zero."
+            )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = matrix[:3, 3] * self.scale
+        return vertices @ stretch.T * self.scale, pose
+
+    def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
+        for plane in self._planes:
+            vertices, _ = evaluated_mesh(plane.item, depsgraph)
+            matrix = plane.item.evaluated_get(depsgraph).matrix_world
+            away = (transform(matrix, vertices) - plane.point) @ plane.normal
+            if float(np.abs(away).max()) > 1e-3 * self.spacing:
+                raise SimulationError(
+                    f"{plane.item.name!r} moves at frame {self.scene.frame_current}, but an "
+                    "endless plane stands still. Give it thickness (Solidify modifier), so that "
+                    "it is a closed mesh."
+                )
+
+
+def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
+    """A digest for each subject that can be told without looking at the colliders.
+
+    Raises:
+        SimulationError: The clay cannot be simulated.
+    """
+    clay = clay_objects(scene)
+    gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
+    return {
+        "clay": _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay)),
+        "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
+        "solver settings": _digest(asdict(solver_settings(scene))),
+        "gravity": _digest(*gravity),
+        "frame rate": _digest(frames_per_second(scene)),
+        "unit scale": _digest(scene.unit_settings.scale_length),
+    }
+
+
+def _rotation_and_stretch(
+    matrix: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Polar decomposition of a 4×4 matrix's linear part; a mirroring goes into the stretch."""
+    left, scales, right = np.linalg.svd(matrix[:3, :3])
+    rotation = left @ right
+    stretch = right.T @ np.diag(scales) @ right
+    return (rotation, stretch) if np.linalg.det(rotation) > 0 else (-rotation, -stretch)
+
+
+def _checked_material(item: bpy.types.Object) -> Material:
+    try:
+        return material_of(item)
+    except ValueError as error:
+        raise SimulationError(f"{item.name!r}: {error}") from error
+
+
+def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
+    spacings = {item.name: item.tactile_clay.spacing for item in clay}
+    first = next(iter(spacings.values()))
+    for name, spacing in spacings.items():
+        if not spacing > 0:
+            raise SimulationError(f"{name!r} has no spacing. Make the clay again.")
+        if abs(spacing - first) > 1e-6 * first:
+            sizes = ", ".join(f"{n!r} {s * scale * 1e3:.3g} mm" for n, s in spacings.items())
+            raise SimulationError(
+                f"All clay of a scene needs the same spacing, but there is {sizes}. Make the odd "
+                "ones again."
+            )
+    return first
+
+
+def _digest(*values: Any) -> str:
+    """Thirty-two hexadecimal digits of arrays, numbers and tables."""
+    digest = hashlib.blake2b(digest_size=16)
+    for value in values:
+        if isinstance(value, np.ndarray):
+            digest.update(f"{value.dtype}{value.shape}".encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
+        elif isinstance(value, tuple):
+            digest.update(_digest(*value).encode())
+        elif isinstance(value, Mapping):
+            digest.update(_digest(*(repr(pair) for pair in sorted(value.items()))).encode())
+        else:
+            digest.update(repr(value).encode())
+    return digest.hexdigest()
