@@ -15,6 +15,7 @@ the thumb of a right hand to -X.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -130,17 +131,17 @@ POSES: Mapping[str, HandPose] = MappingProxyType(
         ),
         "point": HandPose(
             index=(-2.0, 6.0, 6.0, 4.0),
-            middle=(0.0, 80.0, 88.0, 40.0),
-            ring=(1.0, 83.0, 88.0, 40.0),
-            little=(2.0, 85.0, 88.0, 40.0),
-            thumb=(32.0, -5.0, 46.0, 30.0, 27.0),
+            middle=(0.0, 74.0, 90.0, 38.0),
+            ring=(2.0, 77.0, 90.0, 38.0),
+            little=(4.0, 77.0, 84.0, 36.0),
+            thumb=(28.0, -2.0, 46.0, 26.0, 30.0),
         ),
         "pinch": HandPose(
-            index=(1.0, 38.0, 73.0, 40.0),
+            index=(-1.0, 40.0, 58.0, 26.0),
             middle=(1.0, 26.0, 34.0, 20.0),
             ring=(4.0, 20.0, 28.0, 18.0),
             little=(9.0, 14.0, 24.0, 16.0),
-            thumb=(6.0, 20.0, 16.0, 15.0, 22.0),
+            thumb=(5.0, 19.0, 14.0, 16.0, 5.0),
         ),
     }
 )
@@ -328,7 +329,7 @@ def _ellipsoid(points: Array, center: Array, axes: Array, radii: tuple[float, ..
     return scaled * (scaled - 1.0) / slope
 
 
-def _blend(first: Array, second: Array, width: float) -> Array:
+def _blend(first: Array, second: Array, width: float | Array) -> Array:
     """Union of two distances with a fillet of the given width [m], shape [N]."""
     overlap = np.maximum(width - np.abs(first - second), 0.0)
     return np.minimum(first, second) - overlap * overlap * (0.25 / width)
@@ -336,11 +337,15 @@ def _blend(first: Array, second: Array, width: float) -> Array:
 
 def _distance(points: Array, shape: HandShape) -> Array:
     """Signed distance to the skin of the reference hand [m], shape [N]."""
-    distance = _palm_distance(points, shape)
-    fingers = np.full(len(points), np.inf)
+    palm = _palm_distance(points, shape)
+    distance = palm
     for name in ("thumb", *_FINGERS):
-        fingers = np.minimum(fingers, _finger_distance(points, shape, name))
-    return _blend(distance, fingers, 0.005)
+        finger = _finger_distance(points, shape, name)
+        # Only the root of a finger runs into the palm: a fingertip that touches it stays apart.
+        knuckle = f"{name}_proximal"
+        way = np.linalg.norm(points - shape.joints[knuckle], axis=1) / shape.radii[knuckle]
+        distance = np.minimum(distance, _blend(palm, finger, 0.005 * np.clip(3 - way, 0.05, 1)))
+    return distance
 
 
 def _palm_distance(points: Array, shape: HandShape) -> Array:
@@ -362,15 +367,16 @@ def _palm_distance(points: Array, shape: HandShape) -> Array:
         root = _cone(points, joints[knuckle], web, radii[knuckle], 0.92 * radii[knuckle])
         distance = _blend(distance, root, 0.008)
 
-    base, knuckle = joints["thumb_metacarpal"], joints["thumb_proximal"]
-    bone = _cone(points, base, knuckle, radii["thumb_metacarpal"], radii["thumb_proximal"])
+    start, end = joints["thumb_metacarpal"], joints["thumb_proximal"]
+    bone = _cone(points, start, end, radii["thumb_metacarpal"], radii["thumb_proximal"])
     distance = _blend(distance, bone, 0.012)
-    ball = 0.52 * base + 0.48 * knuckle + np.array([0.010, 0.002, -0.004])
-    thenar = _ellipsoid(points, ball, _frame(knuckle - base, np.array([0.0, 0.0, 1.0])),
-                        (0.0155, 0.0265, 0.0150))
+    ball = 0.58 * start + 0.42 * end + np.array([0.010, 0.002, -0.004])
+    thenar = _ellipsoid(
+        points, ball, _frame(end - start, np.array([0.0, 0.0, 1.0])), (0.0155, 0.0245, 0.0150)
+    )
     distance = _blend(distance, thenar, 0.012)
     index = joints["index_metacarpal"] * 0.45 + joints["index_proximal"] * 0.55
-    fold = _cone(points, 0.35 * base + 0.65 * knuckle, index, 0.0085, 0.0090)
+    fold = _cone(points, 0.35 * start + 0.65 * end, index, 0.0085, 0.0090)
     distance = _blend(distance, fold, 0.016)
     hypothenar = _ellipsoid(
         points, np.array([0.0245, 0.045, -0.0095]), np.eye(3), (0.0135, 0.0330, 0.0125)
@@ -385,14 +391,14 @@ def _finger_distance(points: Array, shape: HandShape, name: str) -> Array:
     joints, radii, axes = shape.joints, shape.radii, shape.axes
     chain = [joint for joint in joints if joint.startswith(name)][1:]
     distance = np.full(len(points), 1.0)
-    for start, end in zip(chain, chain[1:], strict=False):
+    for start, end in pairwise(chain):
         bone = _cone(points, joints[start], joints[end], radii[start], radii[end])
-        distance = _blend(distance, bone, 0.003)
+        distance = _blend(distance, bone, 0.002)
         middle = 0.45 * joints[start] + 0.55 * joints[end]
         girth = 0.5 * (radii[start] + radii[end])
         pad = _ellipsoid(
             points,
-            middle - 0.22 * girth * axes[start][:, 2],
+            middle - 0.17 * girth * axes[start][:, 2],
             axes[start],
             (0.86 * girth, 0.46 * float(np.linalg.norm(joints[end] - joints[start])), 0.90 * girth),
         )
@@ -407,7 +413,7 @@ def _sample(
     block = 4
     low = low - 0.045
     blocks = np.ceil((high + 0.045 - low) / (block * cell)).astype(int)
-    where = np.indices(blocks).reshape(3, -1).T
+    where = np.indices(blocks.tolist()).reshape(3, -1).T
     center = distance(low + cell * block * (where + 0.5))
     values = np.repeat(center, block**3).reshape(-1, block, block, block)
     # A signed distance changes by no more than the way gone; the margin is for the ellipsoids'.
