@@ -26,7 +26,10 @@ SMALLEST_CAVITY = 8.0
 """Voids below the volume of a cube of side 2 d are what loose packing leaves between
 particles: the spacing cannot tell them from clay, nobody can see them, and they trap resin in
 a print. Larger ones (a hollow model) are meant, and stay."""
+SMALLEST_PIECE = 0.02
+"""Shells below this are collapsed voids: a crumb of one particle has a volume of 1."""
 SMALLEST_EDGE = 1e-3
+LARGEST_VOLUME_ERROR = 0.003
 LARGEST_EXTENT = 1e5
 COLOR_RADIUS = 1.5
 
@@ -107,16 +110,17 @@ def reconstruct(
             f" spacing ({distance:g} m) in another unit than the positions?"
         )
     fault: SurfaceError | None = None
-    for cell_size in CELL_SIZES:
+    # Particles on top of one another make a ball that smoothing shrinks to nothing.
+    attempts = [(cell_size, smoothing) for cell_size in CELL_SIZES] + [(CELL_SIZES[0], 0)]
+    for cell_size, passes in attempts:
         try:
-            vertices, faces, tint = _reconstruct_local(local, tints, cell_size, smoothing)
+            vertices, faces, tint = _reconstruct_local(local, tints, cell_size, passes)
         except SurfaceError as error:
             fault = error
             continue
         return Surface(vertices * distance + origin, faces, tint)
     raise SurfaceError(
         f"No closed surface could be made of these {len(points)} particles: {fault}"
-        " Another number of smoothing passes may help."
     ) from fault
 
 
@@ -229,8 +233,11 @@ def _reconstruct_local(
     tint = None if tints is None else grid.blend(vertices, tints)
     vertices = _match_volumes(vertices, faces, solid, particle_count)
     shortest = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, -1, axis=1)], axis=2).min()
-    if shortest < SMALLEST_EDGE:
+    if not shortest > SMALLEST_EDGE:
         raise SurfaceError(f"the mesh has an edge of {shortest:.1e} spacings.")
+    error = float(_face_volumes(vertices, faces).sum()) / len(points) - 1
+    if not abs(error) < LARGEST_VOLUME_ERROR:
+        raise SurfaceError(f"the mesh misses the volume of the particles by {error:.1%}.")
     check_closed_manifold(faces, len(vertices))
     return vertices, faces, tint
 
@@ -270,16 +277,16 @@ def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indic
     component = connected_components(len(vertices), faces.ravel(), np.roll(faces, -1, 1).ravel())
     shells, shell = np.unique(component, return_inverse=True)
     volumes = np.bincount(shell[faces[:, 0]], _face_volumes(vertices, faces), minlength=len(shells))
-    piece = np.where(volumes > 0, np.arange(len(shells)), -1)
-    if len(shells) == 1 and volumes[0] > 0:
-        return shell, np.array([float(grid.particle_count)])
-    if not (piece >= 0).any():
+    outer = volumes > SMALLEST_PIECE
+    if not outer.any():
         raise SurfaceError("no shell encloses a volume.")
+    if len(shells) == 1:
+        return shell, np.array([float(grid.particle_count)])
+    piece = np.where(outer, np.arange(len(shells)), -1)
     home = piece.copy()
-    for cavity in np.flatnonzero(volumes <= 0).tolist():
-        inside = _enclosing_shell(vertices, faces, shell, volumes, cavity)
-        home[cavity] = inside
-        piece[cavity] = inside if volumes[cavity] < -SMALLEST_CAVITY else -1
+    for void in np.flatnonzero(~outer).tolist():
+        home[void] = _enclosing_shell(vertices, faces, shell, np.where(outer, volumes, 0), void)
+        piece[void] = home[void] if volumes[void] < -SMALLEST_CAVITY else -1
     largest = int(volumes.argmax())
     of_particle = np.full(grid.particle_count, -1)
     nearest = grid.nearest(vertices)
@@ -295,10 +302,10 @@ def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indic
 
 
 def _enclosing_shell(
-    vertices: Floats, faces: Indices, shell: Indices, volumes: Floats, cavity: int
+    vertices: Floats, faces: Indices, shell: Indices, volumes: Floats, void: int
 ) -> int:
-    """Find the smallest outer shell around a cavity, or -1."""
-    probe = vertices[np.flatnonzero(shell == cavity)[0]]
+    """Find the smallest shell of positive volume around a void, or -1."""
+    probe = vertices[np.flatnonzero(shell == void)[0]]
     a, b, c = (vertices[faces[:, k]] - probe for k in range(3))
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
     determinant = np.einsum("ij,ij->i", a, np.cross(b, c))
