@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
@@ -18,7 +19,13 @@ from .cache import Cache, CacheDamagedError, CacheError, Frame, Meta
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
 from .properties import frame_range
-from .simulation import Simulation, SimulationError, frames_per_second, scene_digests
+from .simulation import (
+    Simulation,
+    SimulationError,
+    frames_per_second,
+    scene_digests,
+    solver_device,
+)
 
 CHECKPOINT_INTERVAL = 10
 """Fewest frames from one checkpoint to the next."""
@@ -192,28 +199,29 @@ def bake_steps(
     with paused():
         try:
             scene.frame_set(start)
-            simulation = _prepare(context, device)
-            meta = _make_meta(scene, simulation, cache, start, end)
+            simulation = Simulation(context)
+            device = solver_device(context, device)
+            meta = _make_meta(scene, simulation, cache, start, end, device)
             _check_owner(scene, cache, replace_other=replace_other)
             cache.prepare()
-            known: dict[int, Frame] = {}
-            if resume and cache.exists():
-                old, known = _check_resume(scene, simulation, cache, meta)
-                cache.write_meta(replace(old, end=max(old.end, end)))
-            else:
-                cache.begin(meta, simulation.colors)
-            missing = [frame for frame in range(start, end + 1) if frame not in known]
-            kept = end + 1 - start - len(missing)
-            if missing:
-                steps = _simulate(simulation, cache, meta, known, missing[0], tally)
-                try:
-                    for report in steps:
-                        if (yield report):
-                            cancelled = True
-                            break
-                finally:
-                    steps.close()
-                cache.write_meta(replace(cache.meta(), statistics=_statistics(tally, meta)))
+            with cache.locked():
+                known: dict[int, Frame] = {}
+                if resume and cache.exists():
+                    known = _check_resume(scene, simulation, cache, meta)
+                    old = cache.meta()
+                    meta = replace(meta, end=max(old.end, end), statistics=old.statistics)
+                    cache.write_meta(meta)
+                else:
+                    cache.begin(meta, simulation.colors)
+                missing = [frame for frame in range(start, end + 1) if frame not in known]
+                if missing:
+                    frames = _simulate(simulation, device, cache, meta, known, missing, tally)
+                    with closing(frames):
+                        for report in frames:
+                            if (yield report):
+                                cancelled = True
+                                break
+                    cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except SimulationError as error:
             raise BakeError(str(error)) from error
         finally:
@@ -224,10 +232,10 @@ def bake_steps(
         start=start,
         end=end,
         baked=tally.written,
-        kept=kept,
+        kept=end + 1 - start - len(missing),
         cancelled=cancelled,
         particle_count=meta.particle_count,
-        device=simulation.device,
+        device=device,
         settings=asdict(simulation.settings),
         seconds=time.perf_counter() - began,
         median_frame_milliseconds=1e3 * median(tally.seconds) if tally.seconds else None,
@@ -239,22 +247,24 @@ def bake_steps(
     )
 
 
-def _prepare(context: bpy.types.Context, device: str | None) -> Simulation:
-    try:
-        return Simulation(context, device=device)
-    except SimulationError as error:
-        raise BakeError(str(error)) from error
-
-
 def _make_meta(
-    scene: bpy.types.Scene, simulation: Simulation, cache: Cache, start: int, end: int
+    scene: bpy.types.Scene,
+    simulation: Simulation,
+    cache: Cache,
+    start: int,
+    end: int,
+    device: str,
 ) -> Meta:
+    # Different devices and versions of Warp round differently, so they don't share a bake.
+    import warp
+
+    computed_by = f"{device.partition(':')[0]}, Warp {warp.__version__}"
     return Meta(
         start=start,
         end=end,
         frames_per_second=frames_per_second(scene),
         clay=simulation.parts,
-        settings=simulation.digests(),
+        settings={**simulation.digests(), "device": computed_by},
         owner=_owner(scene, cache),
         version=ADDON_VERSION,
     )
@@ -296,47 +306,48 @@ def _check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) -
 
 def _check_resume(
     scene: bpy.types.Scene, simulation: Simulation, cache: Cache, meta: Meta
-) -> tuple[Meta, dict[int, Frame]]:
-    """The bake to go on with and its whole frames, if the scene is still what it was."""
-    status = compare(scene, simulation, cache, meta)
-    if status:
+) -> dict[int, Frame]:
+    """The whole frames to go on from, if the scene is still what it was."""
+    try:
+        old = cache.meta()
+        if old.start != meta.start:
+            change = f"it starts at frame {old.start}, not at {meta.start}"
+        else:
+            change = compare(scene, simulation, cache, meta.settings)
+    except CacheDamagedError as error:
+        change = f"its meta.json is damaged ({error})"
+    if change:
         raise BakeStaleError(
-            f"The bake in {cache.directory} is stale: {status}. Press Bake to start over, or undo "
+            f"The bake in {cache.directory} is stale: {change}. Bake again to start over, or undo "
             "the change and resume."
         )
-    return cache.meta(), cache.whole_frames(meta.start, meta.end)
+    return cache.whole_frames(meta.start, meta.end)
 
 
 def compare(
-    scene: bpy.types.Scene, simulation: Simulation, cache: Cache, meta: Meta | None = None
+    scene: bpy.types.Scene, simulation: Simulation, cache: Cache, settings: Mapping[str, str]
 ) -> str:
     """What has changed in the scene since it was baked, in words; empty where nothing has.
 
-    Moves the scene through the baked frames, to see what the colliders do there.
+    Moves the scene through the baked frames, to see what the colliders do there, and leaves it at
+    the last one.
 
     Raises:
         CacheError: There is no bake, or its meta.json is damaged.
         SimulationError: A collider does what the solver cannot follow.
     """
-    try:
-        old = cache.meta()
-    except CacheDamagedError as error:
-        return f"its meta.json is damaged ({error})"
-    start = old.start if meta is None else meta.start
-    changed = changed_subjects(old, simulation.digests())
-    if old.start != start:
-        changed.insert(0, f"the first frame ({old.start}, now {start})")
+    meta = cache.meta()
+    changed = changed_subjects(meta, settings)
     if changed:
         return f"since then changed: {', '.join(changed)}"
-    for number, frame in cache.whole_frames(old.start, old.end).items():
+    for number, frame in cache.whole_frames(meta.start, meta.end).items():
         scene.frame_set(number)
         if simulation.feed(bpy.context.evaluated_depsgraph_get()) != frame.inputs:
             return f"since then the colliders' motion changed, first at frame {number}"
-    scene.frame_set(start)
     return ""
 
 
-def changed_subjects(meta: Meta, digests: dict[str, str]) -> list[str]:
+def changed_subjects(meta: Meta, digests: Mapping[str, str]) -> list[str]:
     """Subjects whose digest differs from what the bake was made with."""
     return [name for name, value in digests.items() if meta.settings.get(name) != value]
 
@@ -351,26 +362,28 @@ def changes_at_a_glance(scene: bpy.types.Scene, meta: Meta) -> list[str]:
 
 def _simulate(
     simulation: Simulation,
+    device: str,
     cache: Cache,
     meta: Meta,
     known: dict[int, Frame],
-    first_missing: int,
+    missing: list[int],
     tally: _Tally,
 ) -> Generator[BakeProgress, None, None]:
     """Run the solver from the nearest checkpoint to the end, and write what is missing."""
     scene = simulation.scene
     scene.frame_set(meta.start)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    simulation.start(depsgraph)
+    simulation.start(depsgraph, device)
     assert simulation.solver is not None
-    total = meta.end + 1 - meta.start
-    at = _restore(simulation, cache, meta, first_missing)
+    last = missing[-1]
+    total = last + 1 - meta.start
+    at = _restore(simulation, cache, meta, missing[0])
     checkpoints = _Checkpoints(simulation, cache, meta, at)
-    if meta.start not in known:
+    if missing[0] == meta.start:
         _write_frame(simulation, cache, meta, meta.start, simulation.feed(depsgraph), tally)
         yield BakeProgress(meta.start, 1, total, None)
     try:
-        for number in range(at + 1, meta.end + 1):
+        for number in range(at + 1, last + 1):
             began = time.perf_counter()
             scene.frame_set(number)
             inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
@@ -382,7 +395,7 @@ def _simulate(
             _note_diagnostics(simulation, tally)
             # The first frame compiles the kernels, so it says nothing of the others.
             pace = tally.seconds[1:]
-            left = (meta.end - number) * sum(pace) / len(pace) if pace else None
+            left = (last - number) * sum(pace) / len(pace) if pace else None
             yield BakeProgress(number, len(known) + tally.written, total, left)
     except GeneratorExit:
         # Stopped between two frames. After an error, or an interrupt in the middle of a step, the
@@ -511,4 +524,3 @@ def free(
     size = cache.free()
     refresh(scene)
     return size
-

@@ -15,9 +15,11 @@ import json
 import math
 import os
 import re
+import sys
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,6 +31,7 @@ FORMAT_VERSION = 1
 
 _FRAME = re.compile(r"frame_(-\d{5,}|\d{6,})\.npz")
 _CHECKPOINT = re.compile(r"checkpoint_(-\d{5,}|\d{6,})\.npz")
+_LOCK = "clay.lock"
 _TEMPORARY = re.compile(r"\.clay-.*\.tmp")
 
 
@@ -228,9 +231,7 @@ class Cache:
         for name in ("positions", "velocities"):
             if arrays[name].shape != shape or arrays[name].dtype != np.float32:
                 raise CacheDamagedError(f"{path.name} holds {name} of the wrong size")
-        return Frame(
-            number, arrays["positions"], arrays["velocities"], arrays["inputs"].tobytes()
-        )
+        return Frame(number, arrays["positions"], arrays["velocities"], arrays["inputs"].tobytes())
 
     def read_colors(self) -> NDArray[np.float32]:
         """Colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
@@ -378,6 +379,26 @@ class Cache:
             ) from error
         return size
 
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep other processes from writing to the folder; call `prepare` before.
+
+        The system takes the lock away with the process, so one that was killed leaves none.
+
+        Raises:
+            CacheError: Another process is baking there.
+        """
+        path = self.directory / _LOCK
+        with path.open("a+b") as file:
+            try:
+                _lock_file(file.fileno())
+            except BlockingIOError:
+                raise CacheError(
+                    f"Another process is baking into {self.directory}. Wait for it, or choose "
+                    "another cache folder."
+                ) from None
+            yield
+
     # Inside ----------------------------------------------------------------------------------
 
     @property
@@ -389,7 +410,7 @@ class Cache:
 
     def _numbers(self, pattern: re.Pattern[str]) -> list[int]:
         try:
-            names = os.listdir(self.directory)
+            names = [path.name for path in self.directory.iterdir()]
         except OSError:
             return []
         return sorted(int(match[1]) for name in names if (match := pattern.fullmatch(name)))
@@ -402,7 +423,7 @@ class Cache:
         return [
             path
             for path in paths
-            if path.name in ("meta.json", "colors.npz")
+            if path.name in ("meta.json", "colors.npz", _LOCK)
             or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, _TEMPORARY))
         ]
 
@@ -410,9 +431,30 @@ class Cache:
         # The frames go first: while meta.json is there, an interrupted removal still reads as a
         # bake with missing frames.
         for path in sorted(self._own_files(), key=lambda path: path.name == "meta.json"):
-            path.unlink(missing_ok=True)
+            if path.name != _LOCK or not keep_folder:
+                path.unlink(missing_ok=True)
         if not keep_folder and self.directory.is_dir() and not any(self.directory.iterdir()):
             self.directory.rmdir()
+
+
+def _lock_file(handle: int) -> None:
+    """Lock an open file until it is closed; do nothing where the file system knows no locks.
+
+    Raises:
+        BlockingIOError: Another process holds the lock.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
+            raise BlockingIOError from error
 
 
 def _read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:

@@ -14,8 +14,8 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -27,6 +27,9 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_STALE = 3
 EXIT_INTERRUPTED = 130
+
+_Outcome = tuple[int, str]
+"""Exit code, and what to print on the standard output."""
 
 _EXIT_CODES = """\
 exit codes:
@@ -79,7 +82,13 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     try:
-        return arguments.carry_out(arguments)
+        # What Blender and Warp print belongs to the standard error: the standard output has the
+        # result and nothing else.
+        with _diverted(sys.stdout):
+            code, result = arguments.carry_out(arguments)
+        if result:
+            print(result, flush=True)
+        return code
     except _CommandError as error:
         print(f"{program}: {error}", file=sys.stderr)
         return error.exit_code
@@ -106,7 +115,7 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     def add(
-        name: str, text: str, carry_out: Callable[[argparse.Namespace], int]
+        name: str, text: str, carry_out: Callable[[argparse.Namespace], _Outcome]
     ) -> argparse.ArgumentParser:
         command = commands.add_parser(name, **describe(text))
         command.set_defaults(carry_out=carry_out, file=None)
@@ -174,7 +183,7 @@ def _frame_range(text: str) -> tuple[int, int]:
 # The commands ----------------------------------------------------------------------------------
 
 
-def _bake(arguments: argparse.Namespace) -> int:
+def _bake(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from .bake import BakeError, BakeStaleError, bake
     from .cache import CacheError
@@ -203,20 +212,18 @@ def _bake(arguments: argparse.Namespace) -> int:
         _save(scene, arguments)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
-    table = asdict(replace(result, directory=result.directory))
-    table["directory"] = str(result.directory)
+    table = asdict(result)
     milliseconds = result.median_frame_milliseconds
     pace = f", {milliseconds:.0f} ms a frame" if milliseconds is not None else ""
-    _say(
+    return EXIT_DONE, _text(
         arguments,
         table,
         f"Frames {result.start} to {result.end}: {result.baked} baked, {result.kept} kept{pace} "
         f"({result.particle_count:,} particles on {result.device}).\nCache: {result.directory}",
     )
-    return EXIT_DONE
 
 
-def _export(arguments: argparse.Namespace) -> int:
+def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from . import export
     from .cache import CacheError
@@ -233,27 +240,27 @@ def _export(arguments: argparse.Namespace) -> int:
             table = export.export_clay(context, arguments.output)
         except (CacheError, ValueError, OSError, RuntimeError) as error:
             raise _CommandError(str(error)) from error
-    _say(arguments, {"frame": frame, **table}, f"Frame {frame} written to {arguments.output}")
-    return EXIT_DONE
+    return EXIT_DONE, _text(
+        arguments, {"frame": frame, **table}, f"Frame {frame} written to {arguments.output}"
+    )
 
 
-def _info(arguments: argparse.Namespace) -> int:
+def _info(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
-    from .inspect import describe, inspect
+    from .status import describe, inspect
 
     with context.temp_override(scene=scene):
         table = inspect(context, _absolute(arguments.cache))
-    _say(arguments, table, describe(table))
     bake = table["bake"]
-    whole = bool(bake["frames"]) and not bake["missing"] and not bake["stale"]
-    return EXIT_DONE if whole or not bake["frames"] else EXIT_STALE
+    unsound = bake["stale"] or bake["missing"] or bake["problem"]
+    return EXIT_STALE if unsound else EXIT_DONE, _text(arguments, table, describe(table))
 
 
-def _demo(arguments: argparse.Namespace) -> int:
+def _demo(arguments: argparse.Namespace) -> _Outcome:
     _need_bpy()
     from . import demo
 
-    return demo.main(["--output", str(arguments.output)])
+    return demo.main(["--output", str(arguments.output)]), ""
 
 
 # What they share -------------------------------------------------------------------------------
@@ -282,8 +289,7 @@ def _open(arguments: argparse.Namespace) -> tuple[Any, Any]:
 
         register()
         try:
-            with _quiet(sys.stdout):
-                bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
+            bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False)
         except RuntimeError as error:
             raise _CommandError(f"{path} cannot be opened: {error}", EXIT_USAGE) from error
     context = bpy.context
@@ -319,14 +325,13 @@ def _save(scene: Any, arguments: argparse.Namespace) -> None:
     if not bpy.data.filepath:
         raise _CommandError("The bake is done, but the .blend has no name to be saved under.")
     try:
-        with _quiet(sys.stdout):
-            bpy.ops.wm.save_mainfile()
+        bpy.ops.wm.save_mainfile()
     except RuntimeError as error:
         raise _CommandError(f"The bake is done, but the .blend cannot be saved: {error}") from error
 
 
-def _say(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> None:
-    print(json.dumps(_without_nan(table), indent=2, default=str) if arguments.json else text)
+def _text(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> str:
+    return json.dumps(_without_nan(table), indent=2, default=str) if arguments.json else text
 
 
 def _without_nan(value: Any) -> Any:
@@ -338,12 +343,13 @@ def _without_nan(value: Any) -> Any:
 
 
 @contextlib.contextmanager
-def _quiet(stream: IO[str]) -> Any:
-    """Send what Blender prints to the standard output to the standard error instead."""
+def _diverted(stream: IO[str]) -> Iterator[None]:
+    """Send what is written to a stream, by any library, to the standard error instead."""
     try:
         number = stream.fileno()
     except (OSError, AttributeError, io.UnsupportedOperation):
-        yield
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
         return
     stream.flush()
     kept = os.dup(number)

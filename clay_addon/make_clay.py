@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-# mypy: disable-error-code="valid-type"
 """Make Clay: closed meshes become one point cloud of clay particles."""
 
 import math
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError, check_closed_mesh, mesh_volume
 from ..solver.material import Material
+from .look import add_look
 from .mesh_geometry import evaluated_mesh, transform, turn_for
 from .preferences import missing_parts
 from .properties import CUSTOM, PRESET_ITEMS
@@ -71,7 +71,10 @@ def make_clay(
     _check_particle_count(pieces, spacing, scene)
     points = _fill(pieces, spacing, scene)
     colors = np.concatenate(
-        [np.tile(_color_of(item), (len(part), 1)) for item, part in zip(objects, points)]
+        [
+            np.tile(_color_of(item), (len(part), 1))
+            for item, part in zip(objects, points, strict=True)
+        ]
     ).astype(np.float32)
     return _build(context, objects, np.concatenate(points), colors, spacing, preset, name)
 
@@ -109,13 +112,13 @@ def _check_particle_count(
     total = sum(volumes)
     if total / spacing**3 > PARTICLE_COUNT_LIMIT:
         raise ClayError(
-            f"That would be {total / spacing**3:,.0f} particles; {PARTICLE_COUNT_LIMIT:,} are the "
+            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are the "
             f"most. Use a spacing of at least "
             f"{_length(_rounded(total / PARTICLE_COUNT_LIMIT, up=True), scene)}, or check the "
             "size of the meshes."
         )
     for (name, _, _), volume in zip(pieces, volumes, strict=True):
-        if volume / spacing**3 < PARTICLE_COUNT_LEAST:
+        if round(volume / spacing**3) < PARTICLE_COUNT_LEAST:
             raise ClayError(
                 f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
                 f"{round(volume / spacing**3)} particles. Use a spacing of at most "
@@ -127,7 +130,13 @@ def _rounded(cell_volume: float, *, up: bool) -> float:
     """Edge of a cubic cell, rounded to two digits."""
     edge = cell_volume ** (1 / 3)
     step = 10.0 ** (math.floor(math.log10(edge)) - 1)
-    return (math.ceil(edge / step) if up else math.floor(edge / step)) * step
+    # Single precision makes a round edge a little longer or shorter.
+    return (math.ceil(edge / step - 1e-4) if up else math.floor(edge / step + 1e-4)) * step
+
+
+def _about(count: float) -> str:
+    step = 10 ** max(0, math.floor(math.log10(count)) - 2)
+    return f"{round(count / step) * step:,}"
 
 
 def _length(value: float, scene: bpy.types.Scene) -> str:
@@ -172,7 +181,8 @@ def _occupied(
 ) -> NDArray[np.bool_]:
     """Which points lie inside a mesh, or closer than half a spacing to its particles."""
     taken = np.zeros(len(points), bool)
-    near = (points >= vertices.min(0) - spacing).all(1) & (points <= vertices.max(0) + spacing).all(1)
+    low, high = vertices.min(0) - spacing, vertices.max(0) + spacing
+    near = (points >= low).all(1) & (points <= high).all(1)
     if not near.any() or not len(particles):
         return taken
     tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist())
@@ -180,7 +190,7 @@ def _occupied(
     for index, particle in enumerate(particles.tolist()):
         nearest.insert(particle, index)
     nearest.balance()
-    for index in np.flatnonzero(near):
+    for index in np.flatnonzero(near).tolist():
         point = Vector(points[index].tolist())
         taken[index] = nearest.find(point)[2] < 0.5 * spacing or _inside(tree, point)
     return taken
@@ -202,7 +212,7 @@ def _color_of(item: bpy.types.Object) -> tuple[float, ...]:
     """Colour of a piece, linear RGBA: its material's, else the object's, else terracotta."""
     material = item.active_material
     if material is not None:
-        if material.use_nodes and material.node_tree:
+        if material.node_tree and (bpy.app.version >= (5, 0, 0) or material.use_nodes):
             for node in material.node_tree.nodes:
                 if node.type == "BSDF_PRINCIPLED" and not node.inputs["Base Color"].is_linked:
                     return (*tuple(node.inputs["Base Color"].default_value)[:3], 1.0)
@@ -228,6 +238,7 @@ def _build(
     properties.role = "CLAY"
     properties.spacing = spacing
     properties.material_preset = preset
+    add_look(clay, spacing=spacing)
     for source in sources:
         source.hide_set(True)
         source.hide_render = True

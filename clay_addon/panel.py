@@ -52,12 +52,19 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         clay = item.tactile_clay
         box = layout.box()
         box.label(text=item.name, icon="POINTCLOUD_DATA")
-        box.label(text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
-                  if scene.unit_settings.scale_length == 1.0
-                  else f"{len(item.data.points):,} particles")
+        box.label(
+            text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
+            if scene.unit_settings.scale_length == 1.0
+            else f"{len(item.data.points):,} particles"
+        )
         column = box.column()
         for name in (
-            "material_preset", "density", "yield_stress", "viscosity", "shear_modulus", "friction",
+            "material_preset",
+            "density",
+            "yield_stress",
+            "viscosity",
+            "shear_modulus",
+            "friction",
         ):
             column.prop(clay, name)
 

@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-# mypy: disable-error-code="valid-type"
 """The add-on's preferences: the device to compute on, and what is missing from the installation."""
 
 import importlib.util
@@ -60,7 +59,9 @@ def draw_missing_parts(layout: bpy.types.UILayout) -> bool:
     return bool(missing)
 
 
-def draw_text(layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = 38) -> None:
+def draw_text(
+    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = 38
+) -> None:
     """Draw a text over several lines, as Blender's labels do not wrap."""
     column = layout.column(align=True)
     line = ""

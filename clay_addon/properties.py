@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-# mypy: disable-error-code="valid-type"
 """What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
 import zlib
@@ -20,9 +19,7 @@ def _preset_items() -> list[tuple[str, str, str, str, int]]:
     for name in Material.preset_names():
         label = name.replace("_", " ").capitalize()
         material = Material.preset(name)
-        description = (
-            f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
-        )
+        description = f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
         items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
     return items
 
@@ -120,7 +117,7 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     )
     friction: bpy.props.FloatProperty(
         name="Friction",
-        description="Coulomb friction coefficient of the clay; a contact takes the mean of both",
+        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
         default=0.5,
         min=0.0,
         soft_max=1.0,
@@ -150,7 +147,7 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     )
     collider_friction: bpy.props.FloatProperty(
         name="Friction",
-        description="Coulomb friction coefficient of the collider; a contact takes the mean of both",
+        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
         default=0.5,
         min=0.0,
         soft_max=1.0,

@@ -170,17 +170,15 @@ class Simulation:
 
     Args:
         context: Its scene is what is simulated.
-        device: See `solver_device`.
 
     Raises:
         SimulationError: Something in the scene is wrong; the message names the object and says
             what to do.
     """
 
-    def __init__(self, context: bpy.types.Context, *, device: str | None = None) -> None:
+    def __init__(self, context: bpy.types.Context) -> None:
         scene = context.scene
         self.scene = scene
-        self.device = solver_device(context, device)
         self.scale = scene.unit_settings.scale_length
         clay = clay_objects(scene)
         if not clay:
@@ -237,12 +235,6 @@ class Simulation:
 
     def digests(self) -> dict[str, str]:
         """A digest for each subject that decides the result, to tell which one has changed."""
-        from importlib.metadata import PackageNotFoundError, version
-
-        try:
-            warp_version = version("warp-lang")
-        except PackageNotFoundError:
-            warp_version = "unknown"
         return {
             **scene_digests(self.scene),
             "colliders": _digest(
@@ -250,13 +242,16 @@ class Simulation:
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
-            "device": f"{self.device.partition(':')[0]} (Warp {warp_version})",
         }
 
     # Running ----------------------------------------------------------------------------------
 
-    def start(self, depsgraph: bpy.types.Depsgraph) -> None:
+    def start(self, depsgraph: bpy.types.Depsgraph, device: str) -> None:
         """Build the solver in its rest state, at the current frame.
+
+        Args:
+            depsgraph: The evaluated scene.
+            device: What `solver_device` gave.
 
         Raises:
             SimulationError: The solver refuses the scene; the message says why.
@@ -272,13 +267,14 @@ class Simulation:
                 first += len(points)
             for plane in self._planes:
                 friction = self._frictions[plane.item.name]
-                scene.add_plane(plane.point * self.scale, plane.normal, friction=friction)
+                point = plane.point * self.scale
+                scene.add_plane(point.tolist(), plane.normal.tolist(), friction=friction)
             for part in self._meshes:
                 vertices, _ = self._state(part, depsgraph)
                 friction = self._frictions[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
             self.feed(depsgraph)
-            self.solver = Solver(scene, self.settings, device=self.device)
+            self.solver = Solver(scene, self.settings, device=device)
         except (MeshError, ValueError, RuntimeError) as error:
             raise SimulationError(f"The solver cannot take this scene: {error}") from error
 

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A fresh Blender with the add-on for each test, and the few objects the tests are about."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import tactile_clay
+
+
+class Studio:
+    """An empty Blender scene and what is put in it."""
+
+    @property
+    def scene(self) -> Any:
+        """The scene."""
+        return bpy.context.scene
+
+    def block(
+        self, size: float = 0.04, location: tuple[float, float, float] = (0.0, 0.0, 0.03)
+    ) -> Any:
+        """Add a cube and select it alone."""
+        bpy.ops.mesh.primitive_cube_add(size=size, location=location)
+        return bpy.context.object
+
+    def table(self) -> Any:
+        """Add a plane at height 0 as a collider."""
+        bpy.ops.mesh.primitive_plane_add(size=1.0)
+        bpy.context.object.name = "Table"
+        assert bpy.ops.clay.collider_add() == {"FINISHED"}
+        return bpy.context.object
+
+    def clay(self, name: str = "Clay", **block: Any) -> Any:
+        """Add a block of clay with 64 particles at a spacing of one centimetre."""
+        from tactile_clay.clay_addon.make_clay import make_clay
+
+        return make_clay(bpy.context, [self.block(**block)], spacing=0.01, name=name)
+
+    def falling_block(self, folder: Path, *, end: int = 6) -> Any:
+        """Save a scene with a block of clay that falls on a table."""
+        clay = self.clay()
+        self.table()
+        self.scene.frame_end = end
+        self.save(folder)
+        return clay
+
+    def save(self, folder: Path, name: str = "scene.blend") -> Path:
+        """Save the file into a folder."""
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / name))
+        return folder / name
+
+    def select(self, *items: Any) -> None:
+        """Select objects, and no others."""
+        for item in bpy.context.view_layer.objects:
+            item.select_set(item in items)
+        bpy.context.view_layer.objects.active = items[0] if items else None
+
+    def points(self, clay: Any, attribute: str = "position") -> NDArray[np.float32]:
+        """World positions of a clay object's points [Blender units], shape [N, 3]."""
+        values = np.empty((len(clay.data.points), 3), np.float32)
+        clay.data.attributes[attribute].data.foreach_get("vector", values.ravel())
+        matrix = np.array(clay.matrix_world, np.float64)
+        return (values @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+
+    def refused(self, operator: Any, **options: Any) -> str:
+        """The error an operator reports, having changed no object."""
+        before = {item.name: (item.type, item.hide_get()) for item in self.scene.objects}
+        with pytest.raises(RuntimeError) as caught:
+            operator(**options)
+        after = {item.name: (item.type, item.hide_get()) for item in self.scene.objects}
+        assert after == before
+        return str(caught.value)
+
+
+@pytest.fixture
+def studio() -> Iterator[Studio]:
+    """An empty scene with the add-on registered."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    tactile_clay.register()
+    yield Studio()
+    tactile_clay.unregister()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
