@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A sphere pressed into a block and taken away: force, dent, volume."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+
+from .shapes import at, ball, block
+
+
+@dataclass(frozen=True)
+class Press:
+    """What the sphere felt and left."""
+
+    force_moving: float
+    """At full depth, still moving [N]."""
+    force_held: float
+    """A third of a second later [N]."""
+    theory: tuple[float, float]
+    """5.7 to 6.05 τ_y A, slip-line theory of a round punch [N]."""
+    dent_pressed: float
+    """Depth under the sphere while it is held [m]."""
+    dent_left: float
+    """Depth after it left and the clay came to rest [m]."""
+    compression_pressed: float
+    """Mean compression while pressed."""
+    compression_left: float
+    """Mean compression after."""
+    largest_penetration: float
+    """Deepest a particle's ball lay inside the sphere [m]."""
+
+    @property
+    def spring_back(self) -> float:
+        """Part of the dent that came back."""
+        return 1.0 - self.dent_left / self.dent_pressed
+
+
+def press(
+    depth: float = 0.012,
+    *,
+    radius: float = 0.012,
+    speed: float = 0.1,
+    spacing: float = 0.005,
+    counts: tuple[int, int, int] = (12, 12, 10),
+    material: Material | None = None,
+    settings: Settings | None = None,
+) -> Press:
+    """Press a sphere into a block on a table, hold it, take it away."""
+    material = material or Material()
+    scene = Scene(spacing)
+    scene.add_clay(block(counts, spacing), material)
+    scene.add_plane()
+    sphere = ball(radius)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(0, 0, 1.0))
+    solver = Solver(scene, settings)
+    for _ in range(12):
+        solver.step(1 / 60)
+    rest = solver.positions()
+    top = float(rest[:, 2].max()) + 0.5 * spacing
+    under = (np.hypot(rest[:, 0], rest[:, 1]) < 1.1 * spacing) & (rest[:, 2] > top - spacing)
+
+    def sink() -> float:
+        return float((rest[under, 2] - solver.positions()[under, 2]).mean())
+
+    height = top + radius + 0.1 * spacing
+    tool.set_pose(at(0, 0, height))
+    solver.step(1 / 60)
+    forces = []
+    penetration = 0.0
+    while height > top + radius - depth + 1e-9:
+        height = max(height - speed / 60, top + radius - depth)
+        tool.set_pose(at(0, 0, height))
+        solver.step(1 / 60)
+        forces.append(float(solver.force_on(tool)[2]))
+        penetration = max(penetration, solver.diagnostics().max_penetration)
+    moving = float(np.mean(forces[-2:]))
+    for _ in range(20):
+        solver.step(1 / 60)
+    held = float(solver.force_on(tool)[2])
+    dent_pressed, pressed = sink(), solver.diagnostics().volume_error
+    for _ in range(10):
+        height += 2 * speed / 60
+        tool.set_pose(at(0, 0, height))
+        solver.step(1 / 60)
+    for _ in range(30):
+        solver.step(1 / 60)
+    area = math.pi * (2 * radius * depth - depth**2)
+    return Press(
+        force_moving=moving,
+        force_held=held,
+        theory=(5.7 * material.yield_stress * area, 6.05 * material.yield_stress * area),
+        dent_pressed=dent_pressed,
+        dent_left=sink(),
+        compression_pressed=pressed,
+        compression_left=solver.diagnostics().volume_error,
+        largest_penetration=penetration,
+    )

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Dents, slumps and merging: what makes it clay."""
+
+import pytest
+
+from tactile_clay.solver import Material, Settings
+from tactile_clay.tests.experiments.merge import merge
+from tactile_clay.tests.experiments.press import Press, press
+from tactile_clay.tests.experiments.slump import slump
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Press:
+    """One press for all that is asked of it."""
+    return press()
+
+
+def test_dent_stays(pressed: Press):
+    """Keep the larger part of a 12 mm dent."""
+    assert pressed.dent_pressed > 0.010
+    assert pressed.spring_back < 0.45
+
+
+def test_press_force_is_that_of_plastic_clay(pressed: Press):
+    """Push back with the force of slip-line theory, to a third."""
+    low, high = pressed.theory
+    assert 0.65 * low < pressed.force_moving < 1.35 * high
+    assert 0.55 * low < pressed.force_held < 1.15 * high
+
+
+def test_volume_comes_back_after_a_press(pressed: Press):
+    """Compress by less than 3 % while pressed and by less than 1 % after."""
+    assert pressed.compression_pressed < 0.03
+    assert pressed.compression_left < 0.01
+
+
+def test_nothing_enters_the_tool(pressed: Press):
+    """Keep particles out of the sphere to a hundredth of a spacing."""
+    assert pressed.largest_penetration < 0.01 * 0.005
+
+
+def test_force_grows_with_yield_stress():
+    """Push back twice as hard at twice the yield stress, to a quarter."""
+    soft = press(0.006, material=Material(yield_stress=1e3, viscosity=20.0))
+    firm = press(0.006, material=Material(yield_stress=2e3, viscosity=20.0))
+    assert firm.force_held / soft.force_held == pytest.approx(2.0, rel=0.25)
+
+
+@pytest.mark.parametrize("yield_ratio", [0.1, 0.2, 0.3])
+def test_slump_follows_theory(yield_ratio: float):
+    """Slump as Pashias and von Mises say, within 15 % of the height."""
+    result = slump(yield_ratio)
+    low, high = result.pashias - 0.15, result.von_mises + 0.15
+    assert low < result.measured < high
+
+
+def test_softer_clay_slumps_more():
+    """Order the slumps by yield stress; a stiff cylinder stands."""
+    depths = [slump(ratio).measured for ratio in (0.1, 0.2, 0.3, 0.7)]
+    assert depths == sorted(depths, reverse=True)
+    assert depths[-1] < 0.03
+
+
+def test_without_bonds_clay_runs_away():
+    """Flow flat when elastoplasticity is switched off."""
+    result = slump(0.7, settings=Settings(elastoplasticity=False))
+    assert result.measured > 0.3
+
+
+def test_blocks_pressed_together_lift_as_one():
+    """Bring the lower block up with the upper after a press of 5 mm."""
+    result = merge()
+    assert result.upper > 0.9 * result.lift
+    assert result.lower > 0.8 * result.lift
+
+
+def test_without_cohesion_nothing_sticks():
+    """Leave the lower block on the table when the clay bears no tension."""
+    result = merge(material=Material(cohesion=0.0))
+    assert result.lower < 0.1 * result.lift

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The solver as a whole: exactness, what it builds, what it refuses."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+from tactile_clay.tests.experiments.shapes import at, ball, block
+
+SPACING = 0.005
+
+
+def pressed_scene() -> tuple[Scene, object]:
+    """A block, a table and a ball above it."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(5, SPACING), Material())
+    scene.add_plane()
+    sphere = ball(0.01)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(0, 0, 0.037))
+    return scene, tool
+
+
+def press_on(solver: Solver, tool, frames: range) -> None:
+    """Push the ball down, half a millimetre a frame."""
+    for frame in frames:
+        tool.set_pose(at(0.0002 * frame, 0, 0.037 - 0.0005 * frame))
+        solver.step(1 / 60)
+
+
+def test_same_steps_give_the_same_bits():
+    """Repeat a run exactly."""
+    results = []
+    for _ in range(2):
+        scene, tool = pressed_scene()
+        solver = Solver(scene)
+        press_on(solver, tool, range(12))
+        results.append((solver.positions(), solver.velocities()))
+    np.testing.assert_array_equal(results[0][0], results[1][0])
+    np.testing.assert_array_equal(results[0][1], results[1][1])
+
+
+def test_snapshot_restores_exactly_into_a_new_solver(tmp_path):
+    """Go on from a snapshot, saved and read, with the same bits as an unbroken run."""
+    scene, tool = pressed_scene()
+    solver = Solver(scene)
+    press_on(solver, tool, range(9))
+    np.savez(tmp_path / "state.npz", **solver.snapshot())
+    press_on(solver, tool, range(9, 20))
+
+    scene, tool = pressed_scene()
+    resumed = Solver(scene)
+    with np.load(tmp_path / "state.npz") as state:
+        resumed.restore(dict(state))
+    press_on(resumed, tool, range(9, 20))
+    np.testing.assert_array_equal(resumed.positions(), solver.positions())
+    np.testing.assert_array_equal(resumed.velocities(), solver.velocities())
+    assert resumed.diagnostics() == solver.diagnostics()
+
+
+def test_snapshot_of_another_scene_is_refused():
+    """Refuse a snapshot with other parts or sizes, and change nothing."""
+    scene, _ = pressed_scene()
+    solver = Solver(scene)
+    before = solver.positions()
+    bare = Scene(SPACING)
+    bare.add_clay(block(5, SPACING), Material())
+    with pytest.raises(ValueError, match="other parts"):
+        solver.restore(Solver(bare).snapshot())
+    state = solver.snapshot()
+    state["position"] = state["position"][:-1]
+    with pytest.raises(ValueError, match="another scene"):
+        solver.restore(state)
+    np.testing.assert_array_equal(solver.positions(), before)
+
+
+def test_only_what_the_scene_holds_is_built():
+    """List contact and damping only where there is something to touch or hold."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(3, SPACING), Material())
+    text = Solver(scene).describe()
+    assert "contact" not in text
+    assert "damping" in text
+    fluid = Solver(scene, Settings(elastoplasticity=False)).describe()
+    assert "bonds" not in fluid.replace("plastic_bonds", "")
+    assert "damping" not in fluid
+    full, _ = pressed_scene()
+    assert "1 meshes" in Solver(full).describe()
+    assert "1 planes" in Solver(full).describe()
+
+
+def test_empty_scene_steps():
+    """Advance time where there is no clay."""
+    solver = Solver(Scene())
+    solver.step(0.5)
+    assert solver.time == 0.5
+    assert solver.positions().shape == (0, 3)
+    assert solver.diagnostics().particle_count == 0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_particles_fall_freely(count: int):
+    """Let one, two or three particles fall as they must."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(3, SPACING)[:count], Material())
+    solver = Solver(scene)
+    before = solver.positions()[:, 2].astype(float)
+    solver.step(0.1)
+    step = 1 / 60 / 32
+    assert before - solver.positions()[:, 2] == pytest.approx(0.5 * 9.81 * 0.1 * (0.1 + step), rel=1e-3)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
+def test_bad_duration_is_refused(duration: float):
+    """Refuse a step that is no length of time."""
+    with pytest.raises(ValueError, match="above 0"):
+        Solver(Scene()).step(duration)
+
+
+def test_unknown_device_and_model_are_refused():
+    """Name what there is."""
+    with pytest.raises(ValueError, match="cpu"):
+        Solver(Scene(), device="abacus")
+    with pytest.raises(ValueError, match="plastic_bonds"):
+        Settings(model="blancmange")
+    with pytest.raises(ValueError, match="substeps"):
+        Settings(substeps=0)
+
+
+def test_force_on_a_stranger_is_refused():
+    """Refuse a collider of another scene."""
+    scene, _ = pressed_scene()
+    with pytest.raises(ValueError, match="not in the scene"):
+        Solver(scene).force_on(Scene().add_plane())
+
+
+def test_a_particle_gone_wrong_is_held_and_counted():
+    """Hold a particle whose state turns non-finite; the rest goes on, finite."""
+    scene, _ = pressed_scene()
+    solver = Solver(scene)
+    solver.step(1 / 60)
+    state = solver.snapshot()
+    state["velocity"][7] = np.nan
+    solver.restore(state)
+    for _ in range(5):
+        solver.step(1 / 60)
+    assert np.isfinite(solver.positions()).all()
+    assert np.isfinite(solver.velocities()).all()
+    assert solver.diagnostics().quarantined >= 1
+
+
+def test_longer_steps_take_more_substeps():
+    """Keep the substep where the step is long, so that clay at rest stays."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(5, SPACING), Material())
+    scene.add_plane()
+    solver = Solver(scene)
+    start = solver.positions()
+    for _ in range(5):
+        solver.step(0.1)
+    assert solver.diagnostics().substeps == 192
+    assert np.abs(solver.positions() - start).max() < 0.2 * SPACING
+
+
+def test_colors_come_back_in_order():
+    """Give colours in the order added."""
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    scene = Scene(SPACING)
+    scene.add_clay_mesh(box.vertices, box.faces, Material(), color=(1, 0, 0, 1))
+    scene.add_clay_mesh(box.vertices + (0.1, 0, 0), box.faces, Material(), color=(0, 0, 1, 1))
+    colors = Solver(scene).colors()
+    assert colors.shape == (128, 4)
+    assert colors[0].tolist() == [1, 0, 0, 1]
+    assert colors[-1].tolist() == [0, 0, 1, 1]
