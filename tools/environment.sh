@@ -90,6 +90,7 @@ package_of() {
         libXi.so.6) say libxi6 ;;
         libXxf86vm.so.1) say libxxf86vm1 ;;
         libXext.so.6) say libxext6 ;;
+        libXt.so.6) say libxt6 ;;
         libxkbcommon.so.0) say libxkbcommon0 ;;
         libSM.so.6) say libsm6 ;;
         libICE.so.6) say libice6 ;;
@@ -114,6 +115,10 @@ missing_libraries() {
     find "$site/bpy" \( -name '__init__*.so' -o -path '*/bpy/lib/*.so*' \) -type f \
         -exec ldd {} + 2>/dev/null | awk '/=> not found/ { print $1 }' | sort -u |
         while IFS= read -r library; do
+            case $library in
+                # What a maker's graphics driver brings; Blender does without.
+                libcuda.* | libnv* | libamdhip* | libhip* | libze_*) continue ;;
+            esac
             [ -e "$site/bpy/lib/$library" ] || say "$library"
         done
 }
@@ -124,7 +129,8 @@ import_bpy() {
 
 check_bpy() {
     import_bpy && return 0
-    libraries=$(missing_libraries)
+    libraries=
+    ! grep -q 'cannot open shared object' "$VENV/import.log" || libraries=$(missing_libraries)
     [ -n "$libraries" ] || fail "Blender's module (bpy) is installed but does not load:
 
 $(tail -n 5 "$VENV/import.log")"
@@ -229,13 +235,14 @@ $(advice)"
         if [ -e "$VENV" ]; then
             # Never delete a folder that merely has the name.
             [ -e "$VENV/pyvenv.cfg" ] || [ -e "$VENV/begun.stamp" ] || [ -z "$(ls -A "$VENV")" ] ||
-                fail "$VENV is there but is not a Python environment: move it away, or set VENV=."
+                fail "$VENV is there but is not a Python environment: move it away, or set VENV=name."
             say "Making $VENV again: it was not finished, or was made for another place or Python."
-            rm -rf "$VENV"
         fi
         say "Making the environment $VENV with Python $version ($found)."
         mkdir -p "$VENV"
+        # First of all, and kept: what is left of a deletion cut short must be known for ours.
         : >"$VENV/begun.stamp"
+        find "$VENV" -mindepth 1 -maxdepth 1 ! -name begun.stamp -exec rm -rf {} +
         "$found" -m venv "$VENV" || fail "$found could not make an environment.
 
 $(advice)"
