@@ -13,8 +13,9 @@ Frame: the wrist joint is the origin, straight fingers point to +Y, the back of 
 the thumb of a right hand to -X.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
@@ -22,7 +23,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["JOINT_NAMES", "POSES", "HandPose", "HandShape", "hand_mesh", "hand_shape"]
+__all__ = [
+    "JOINT_NAMES",
+    "POSES",
+    "HandPose",
+    "HandShape",
+    "hand_mesh",
+    "hand_mesh_in_poses",
+    "hand_shape",
+]
 
 Array = NDArray[np.float64]
 
@@ -217,11 +226,74 @@ def hand_mesh(
     shape = _reference_shape(_named_pose(pose))
     corners = np.array(list(shape.joints.values()))
     vertices, faces = _surface_net(
-        lambda points: _distance(points, shape), corners.min(axis=0), corners.max(axis=0), edge
+        partial(_distance, shape=shape), corners.min(axis=0), corners.max(axis=0), edge
     )
     if factor[0] < 0.0:
         faces = faces[:, ::-1]
     return vertices * factor, np.ascontiguousarray(faces)
+
+
+def hand_mesh_in_poses(
+    poses: Sequence[str | HandPose],
+    side: str = "right",
+    *,
+    length: float = _REFERENCE_LENGTH,
+    edge_length: float | None = None,
+) -> tuple[list[Array], NDArray[np.int32]]:
+    """Mesh a hand once and bend that mesh into each of several poses.
+
+    The mesh is made in the first pose; it follows the bones into the others and is laid onto the
+    skin there. It keeps its triangles, so the poses can be mixed, for example as shape keys.
+
+    Args:
+        poses: Names in POSES, or joint angles; not too far apart, or skin folds at the knuckles.
+        side: As for `hand_mesh`.
+        length: As for `hand_mesh` [m].
+        edge_length: As for `hand_mesh` [m].
+
+    Returns:
+        The vertices in each pose [m], shape [V, 3], and the triangles of all, shape [F, 3].
+
+    Raises:
+        ValueError: As for `hand_mesh`, or there is no pose.
+    """
+    if not poses:
+        raise ValueError("Give at least one pose.")
+    factor = _scale(side, length)
+    vertices, faces = hand_mesh(side, length=length, pose=poses[0], edge_length=edge_length)
+    first = _reference_shape(_named_pose(poses[0]))
+    rest = vertices / factor
+    bones, weights = _bone_weights(rest, first)
+    result = [vertices]
+    for pose in poses[1:]:
+        shape = _reference_shape(_named_pose(pose))
+        bent = np.zeros_like(rest)
+        for bone, weight in zip(bones, weights.T, strict=True):
+            turn = shape.axes[bone] @ first.axes[bone].T
+            moved = (rest - first.joints[bone]) @ turn.T + shape.joints[bone]
+            bent += weight[:, None] * moved
+        for _ in range(3):
+            bent = bent + _to_surface(partial(_distance, shape=shape), bent, 0.003)
+        result.append(bent * factor)
+    return result, faces
+
+
+def _bone_weights(points: Array, shape: HandShape) -> tuple[list[str], Array]:
+    """Tell how much each bone carries each point of the skin, shape [N, bones]."""
+    bones = ["wrist"]
+    nearness = [np.full(len(points), 3.0**-8)]
+    for finger in ("thumb", *_FINGERS):
+        chain = [joint for joint in shape.joints if joint.startswith(finger)]
+        for start, end in pairwise(chain):
+            axis = shape.joints[end] - shape.joints[start]
+            offset = points - shape.joints[start]
+            along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
+            way = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+            radius = shape.radii[start] + along * (shape.radii[end] - shape.radii[start])
+            bones.append(start)
+            nearness.append(np.minimum((radius / np.maximum(way, 1e-6)) ** 8, 1e3))
+    weights = np.stack(nearness, axis=1)
+    return bones, weights / weights.sum(axis=1, keepdims=True)
 
 
 def _scale(side: str, length: float) -> Array:
@@ -512,7 +584,6 @@ def _relax(
     """Move a net onto the surface and even out its quads along it, shape [V, 3]."""
     edges = _edges(net)
     neighbour_count = np.bincount(edges[:, 0], minlength=len(vertices))[:, None]
-    probe = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * 2e-4
     for sweep in range(9):
         if 0 < sweep < 8:
             sums = [
@@ -520,12 +591,17 @@ def _relax(
                 for axis in range(3)
             ]
             vertices = vertices + 0.6 * (np.stack(sums, axis=1) / neighbour_count - vertices)
-        values = distance((vertices[:, None, :] + probe).reshape(-1, 3)).reshape(-1, 4)
-        slope = values @ probe / (4.0 * 2e-4**2)
-        square = np.maximum(np.sum(slope * slope, axis=1), 0.04)
-        push = np.clip(values.mean(axis=1) / square, -cell, cell)
-        vertices = vertices - slope * push[:, None]
+        vertices = vertices + _to_surface(distance, vertices, cell)
     return vertices
+
+
+def _to_surface(distance: Callable[[Array], Array], points: Array, farthest: float) -> Array:
+    """Way from points to the surface near them, no longer than `farthest` [m], shape [N, 3]."""
+    probe = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * 2e-4
+    values = distance((points[:, None, :] + probe).reshape(-1, 3)).reshape(-1, 4)
+    slope = values @ probe / (4.0 * 2e-4**2)
+    square = np.maximum(np.sum(slope * slope, axis=1), 0.04)
+    return -slope * np.clip(values.mean(axis=1) / square, -farthest, farthest)[:, None]
 
 
 def _triangles(vertices: Array, net: NDArray[np.int32]) -> NDArray[np.int32]:
