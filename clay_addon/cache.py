@@ -301,8 +301,9 @@ class Cache:
             for path in self.directory.iterdir():
                 if _TEMPORARY.fullmatch(path.name):
                     path.unlink(missing_ok=True)
-            _write_whole(self.directory / "probe", lambda file: file.write(b"clay"))
-            (self.directory / "probe").unlink()
+            probe = self.directory / f".clay-{os.getpid()}-probe.tmp"
+            probe.write_bytes(b"clay")
+            probe.unlink()
         except OSError as error:
             raise CacheError(
                 f"The cache folder {self.directory} cannot be written to "

@@ -46,7 +46,7 @@ def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgra
     """
     if item.type != "MESH":
         raise ColliderError(
-            f"{item.name!r} is a {item.type.lower()}; only a mesh can be a collider."
+            f"{item.name!r} is no mesh ({item.type.lower()}), so it cannot be a collider."
         )
     vertices, triangles = evaluated_mesh(item, depsgraph)
     vertices = transform(item.evaluated_get(depsgraph).matrix_world, vertices)

@@ -87,7 +87,7 @@ def _closed_meshes(
     for item in objects:
         if item.type != "MESH":
             already = item.tactile_clay.role == "CLAY"
-            what = "is clay already" if already else f"is a {item.type.lower()}, not a mesh"
+            what = "is clay already" if already else f"is no mesh ({item.type.lower()})"
             raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
         if item.mode == "EDIT":
             raise ClayError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
@@ -112,8 +112,8 @@ def _check_particle_count(
     total = sum(volumes)
     if total / spacing**3 > PARTICLE_COUNT_LIMIT:
         raise ClayError(
-            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are the "
-            f"most. Use a spacing of at least "
+            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are "
+            f"the most. Use a spacing of at least "
             f"{_length(_rounded(total / PARTICLE_COUNT_LIMIT, up=True), scene)}, or check the "
             "size of the meshes."
         )

@@ -123,7 +123,11 @@ def _on_reload(*_: object) -> None:
     _messages.clear()
     _metas.clear()
     for scene in bpy.data.scenes:
-        refresh(scene)
+        if clay_objects(scene):
+            # Right after loading, and after Undo, the objects' world matrices are not there yet.
+            for layer in scene.view_layers:
+                layer.update()
+            refresh(scene)
 
 
 _HANDLERS = (
