@@ -20,6 +20,8 @@ unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP
 export PYTHONNOUSERSITE = 1
 
 python = $(VENV)/bin/python
+# A file's tests stay together, so that what they share is made once.
+workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
 .PHONY: demo test bench report extension lint format environment clean
 .DEFAULT_GOAL = demo
@@ -31,7 +33,7 @@ demo: environment
 	@$(VENV)/bin/tactile-clay demo --output build/demo
 
 test: environment
-	@$(python) -m pytest $(TESTS)
+	@$(python) -m pytest $(workers) $(TESTS)
 
 bench: environment
 	@$(python) tests/bench/run.py --output build/bench/bench.json
