@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
+import ctypes
 import json
 import math
 import os
@@ -84,7 +84,7 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
     try:
         # What Blender and Warp print belongs to the standard error: the standard output has the
         # result and nothing else.
-        with _diverted(sys.stdout):
+        with _diverted():
             code, result = arguments.carry_out(arguments)
         if result:
             print(result, flush=True)
@@ -343,23 +343,25 @@ def _without_nan(value: Any) -> Any:
 
 
 @contextlib.contextmanager
-def _diverted(stream: IO[str]) -> Iterator[None]:
-    """Send what is written to a stream, by any library, to the standard error instead."""
+def _diverted() -> Iterator[None]:
+    """Send what Python and the C library print on the standard output to the standard error."""
+    _flush()
+    kept = os.dup(1)
     try:
-        number = stream.fileno()
-    except (OSError, AttributeError, io.UnsupportedOperation):
+        os.dup2(2, 1)
         with contextlib.redirect_stdout(sys.stderr):
             yield
-        return
-    stream.flush()
-    kept = os.dup(number)
-    try:
-        os.dup2(2, number)
-        yield
     finally:
-        stream.flush()
-        os.dup2(kept, number)
+        _flush()
+        os.dup2(kept, 1)
         os.close(kept)
+
+
+def _flush() -> None:
+    """Flush the standard output, also the C library's, which Blender writes to."""
+    sys.stdout.flush()
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fflush(None)
 
 
 class _ProgressLine:

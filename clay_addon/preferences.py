@@ -19,7 +19,11 @@ ADDON_VERSION: str = tomllib.loads(
 def missing_parts() -> list[str]:
     """What the installation lacks, each as a sentence that says what to do; mostly empty."""
     missing = []
-    if importlib.util.find_spec("warp") is None:
+    try:
+        found = importlib.util.find_spec("warp") is not None
+    except ImportError:
+        found = False
+    if not found:
         missing.append(
             "NVIDIA Warp is missing: clay cannot be made or baked. Install the extension from its "
             "zip for this platform, which brings Warp along, or add the package warp-lang to this "

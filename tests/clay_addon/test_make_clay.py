@@ -169,7 +169,7 @@ def test_empty_selection_is_refused(studio: Any) -> None:
 def test_object_that_is_no_mesh_is_refused(studio: Any) -> None:
     """Name the object and what it is."""
     bpy.ops.object.light_add(type="POINT")
-    assert "'Point' is a light, not a mesh" in studio.refused(bpy.ops.clay.make)
+    assert "'Point' is no mesh (light)" in studio.refused(bpy.ops.clay.make)
 
 
 def test_clay_is_not_made_of_clay(studio: Any) -> None:

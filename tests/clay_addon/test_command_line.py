@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line: what it does, prints and returns."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import bpy
+import pytest
+
+from tactile_clay.clay_addon import command_line
+from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.command_line import main, main_in_blender
+
+
+@pytest.fixture
+def blend(studio: Any, tmp_path: Path) -> Path:
+    """A saved file with a block of clay over a table, not baked."""
+    studio.falling_block(tmp_path, end=4)
+    return tmp_path / "scene.blend"
+
+
+def test_bake_then_info_then_resume(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Bake a file, tell what is baked, and go on to a later frame."""
+    assert main(["bake", str(blend), "--frames", "1-3"]) == 0
+    said = capfd.readouterr()
+    assert said.out.startswith("Frames 1 to 3: 3 baked, 0 kept")
+    assert "frame 3, 3 of 3, 0 s left" in said.err
+    assert main(["info", str(blend)]) == 0
+    said = capfd.readouterr()
+    assert "clay      Clay: 64 particles 10 mm apart, plasticine" in said.out
+    assert "collider  Table: plane, friction 0.5" in said.out
+    assert "bake      3 of 3 frames (1 to 3)" in said.out
+    assert main(["bake", str(blend), "--resume", "--json"]) == 0
+    table = json.loads(capfd.readouterr().out)
+    assert (table["baked"], table["kept"], table["end"]) == (1, 3, 4)
+    assert table["particle_count"] == 64
+    assert table["median_frame_milliseconds"] > 0
+
+
+def test_cache_option_is_relative_to_the_shell(
+    blend: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bake into the folder that the shell means, and store it only with --save."""
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(elsewhere)
+    assert main(["bake", str(blend), "--cache", "here", "--frames", "1-2"]) == 0
+    assert Cache(elsewhere / "here").frames() == [1, 2]
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    assert bpy.context.scene.tactile_clay.cache_directory == "//clay_cache"
+    assert main(["bake", str(blend), "--cache", "here", "--frames", "1-2", "--save"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    properties = bpy.context.scene.tactile_clay
+    assert Path(bpy.path.abspath(properties.cache_directory)) == elsewhere / "here"
+    assert (properties.use_scene_range, properties.frame_end) == (False, 2)
+
+
+def test_info_of_an_unbaked_file(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Tell the clay, its material and the colliders, and that nothing is baked."""
+    assert main(["info", str(blend), "--json"]) == 0
+    table = json.loads(capfd.readouterr().out)
+    (clay,) = table["clay"]
+    assert (clay["name"], clay["particle_count"]) == ("Clay", 64)
+    assert clay["spacing"] == pytest.approx(0.01)
+    assert clay["material"]["density"] == 1700.0
+    assert table["colliders"] == [
+        {"name": "Table", "friction": 0.5, "problem": "", "kind": "plane"}
+    ]
+    assert table["bake"]["frames"] == 0
+
+
+def test_stale_bake_has_its_own_exit_code(
+    studio: Any, blend: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Return 3 from resume and info where the scene has changed since the bake."""
+    assert main(["bake", str(blend)]) == 0
+    studio.scene.objects["Clay"].tactile_clay.density = 999.0
+    bpy.ops.wm.save_mainfile()
+    capfd.readouterr()
+    assert main(["bake", str(blend), "--resume"]) == 3
+    assert "since then changed: materials" in capfd.readouterr().err
+    assert main(["info", str(blend)]) == 3
+    assert "stale     since then changed: materials" in capfd.readouterr().out
+
+
+def test_incomplete_bake_has_its_own_exit_code(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Return 3 from info where a frame is missing or damaged, and name it."""
+    assert main(["bake", str(blend)]) == 0
+    Cache(tmp_path / "clay_cache").frame_path(3).write_bytes(b"")
+    capfd.readouterr()
+    assert main(["info", str(blend), "--json"]) == 3
+    assert json.loads(capfd.readouterr().out)["bake"]["missing"] == [3]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "required: COMMAND"),
+        (["fire"], "invalid choice: 'fire'"),
+        (["bake"], "required: FILE.blend"),
+        (["bake", "FILE", "--frames", "5"], "not a range such as 1-120"),
+        (["bake", "FILE", "--frames", "9-5"], "ends before it starts"),
+        (["bake", "FILE", "--device", "toaster"], "invalid choice: 'toaster'"),
+        (["bake", "nowhere.blend"], "There is no file"),
+        (["info", "FILE", "--scene", "Stage"], "no scene 'Stage'. There are: Scene"),
+        (["export", "FILE"], "required: --output"),
+    ],
+)
+def test_wrong_usage_is_explained(
+    blend: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    """Return 2 and say what was not understood."""
+    assert main([str(blend) if word == "FILE" else word for word in arguments]) == 2
+    assert words in capfd.readouterr().err
+
+
+def test_file_that_is_no_blend_is_refused(
+    studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Return 2 where Blender cannot open the file."""
+    (tmp_path / "bad.blend").write_text("not a blend")
+    assert main(["info", str(tmp_path / "bad.blend")]) == 2
+    assert "cannot be opened" in capfd.readouterr().err
+
+
+def test_bake_that_cannot_start_says_why(
+    studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Return 1 and the reason where there is no clay."""
+    studio.block()
+    path = studio.save(tmp_path)
+    assert main(["bake", str(path)]) == 1
+    assert "There is no clay in the scene" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"), [("1-120", (1, 120)), ("-5-3", (-5, 3)), ("-9--2", (-9, -2))]
+)
+def test_frame_ranges_may_be_negative(text: str, expected: tuple[int, int]) -> None:
+    """Read two frame numbers with their signs."""
+    assert command_line._frame_range(text) == expected
+
+
+def test_help_tells_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Return 0 and list commands, options and exit codes."""
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(word in text for word in ("bake", "export", "info", "demo", "exit codes:"))
+    assert main(["bake", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert "tactile-clay bake" in text
+    assert "--resume" in text
+    assert "3    the bake is stale" in text
+
+
+def test_command_inside_blender_takes_the_open_file(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Bake and describe the file that is open, without naming it."""
+    assert main_in_blender(["bake", "--frames", "1-2"]) == 0
+    assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
+    capfd.readouterr()
+    assert main_in_blender(["info", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["file"] == str(blend)
+
+
+def test_installed_command_ends_with_its_exit_code(blend: Path) -> None:
+    """Run the console entry in a process of its own, which ends, with clean JSON."""
+    entry = [sys.executable, "-c", "from tactile_clay.clay_addon.command_line import run; run()"]
+    result = subprocess.run(
+        [*entry, "bake", str(blend), "--json"], capture_output=True, text=True, timeout=300
+    )
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["baked"] == 4
+    result = subprocess.run([*entry, "info", "x.blend"], capture_output=True, text=True, timeout=60)
+    assert (result.returncode, result.stdout) == (2, "")
+
+
+def test_missing_bpy_is_explained() -> None:
+    """Return 1 and name the package where the bpy module is not installed."""
+    source = (
+        "import sys; sys.modules['bpy'] = None\n"
+        "from tactile_clay.clay_addon.command_line import main\n"
+        "sys.exit(main(['info', 'scene.blend']))"
+    )
+    result = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
+    assert result.returncode == 1
+    assert "The bpy module is missing" in result.stderr
