@@ -20,6 +20,11 @@ COLOR_ATTRIBUTE = "Color"
 """Not "color": Cycles reads an attribute of that name as black."""
 TEXTURE_ATTRIBUTE = "clay_texture"
 """Positions in units of the particle distance: the grain of the clay is as fine as its detail."""
+_MARK = "tactile_clay_look"
+"""Custom property of what this module made, so that a user's own data of that name stays."""
+_VERSION = 1
+SPACING_ATTRIBUTE = "clay_spacing"
+"""The particle distance [Blender units]: the depth of the grain goes with it."""
 
 # The surface of the node group, in units of the particle distance; measured so that a block comes
 # out with flat faces at the right place (see tests/clay_addon/test_look.py).
@@ -38,10 +43,11 @@ def clay_material() -> bpy.types.Material:
 
     Its colour is the attribute ``Color`` of the surface or the points.
     """
-    material = bpy.data.materials.get(MATERIAL_NAME)
-    if material is not None and COLOR_ATTRIBUTE in material.node_tree.nodes:
-        return material
+    for material in bpy.data.materials:
+        if material.get(_MARK) == _VERSION and material.library is None:
+            return material
     material = bpy.data.materials.new(MATERIAL_NAME)
+    material[_MARK] = _VERSION
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True
     material.diffuse_color = (0.72, 0.36, 0.22, 1.0)
@@ -51,31 +57,39 @@ def clay_material() -> bpy.types.Material:
     color.name = color.label = color.attribute_name = COLOR_ATTRIBUTE
     place = _add(tree, "ShaderNodeAttribute", (-1200, -200))
     place.name = place.label = place.attribute_name = TEXTURE_ATTRIBUTE
-    dents = _add(tree, "ShaderNodeTexNoise", (-1000, -150), Scale=0.22, Detail=2.0)
-    grain = _add(tree, "ShaderNodeTexNoise", (-1000, -400), Scale=1.6, Detail=4.0)
-    tree.links.new(place.outputs["Vector"], dents.inputs["Vector"])
-    tree.links.new(place.outputs["Vector"], grain.inputs["Vector"])
-    press = _add(tree, "ShaderNodeBump", (-600, -150), Strength=0.25, Distance=0.01)
-    tree.links.new(dents.outputs[0], press.inputs["Height"])
-    rough = _add(tree, "ShaderNodeBump", (-400, -250), Strength=0.06, Distance=0.002)
-    tree.links.new(grain.outputs[0], rough.inputs["Height"])
-    tree.links.new(press.outputs["Normal"], rough.inputs["Normal"])
+    spacing = _add(tree, "ShaderNodeAttribute", (-1000, -600))
+    spacing.name = spacing.label = spacing.attribute_name = SPACING_ATTRIBUTE
+    normal = None
+    # Shallow dents as thumbs leave them, and the grain of the clay.
+    for x, scale, detail, depth in ((-600, 0.22, 2.0, 0.6), (-350, 1.6, 5.0, 0.035)):
+        noise = _add(tree, "ShaderNodeTexNoise", (x - 200, -150), Scale=scale, Detail=detail)
+        tree.links.new(place.outputs["Vector"], noise.inputs["Vector"])
+        height = _add(tree, "ShaderNodeMath", (x - 200, -500))
+        height.operation = "MULTIPLY"
+        tree.links.new(spacing.outputs["Fac"], height.inputs[0])
+        height.inputs[1].default_value = depth
+        bump = _add(tree, "ShaderNodeBump", (x, -150), Strength=1.0)
+        tree.links.new(noise.outputs[0], bump.inputs["Height"])
+        tree.links.new(height.outputs[0], bump.inputs["Distance"])
+        if normal is not None:
+            tree.links.new(normal, bump.inputs["Normal"])
+        normal = bump.outputs["Normal"]
     shader = _add(
         tree,
         "ShaderNodeBsdfPrincipled",
         (-100, 200),
         **{
             "Roughness": 0.6,
-            "Specular IOR Level": 0.35,
+            "Specular IOR Level": 0.3,
             "Subsurface Weight": 0.08,
             "Subsurface Scale": 0.002,
             "Subsurface Radius": (1.0, 0.6, 0.4),
-            "Sheen Weight": 0.08,
+            "Sheen Weight": 0.04,
             "Sheen Roughness": 0.6,
         },
     )
     tree.links.new(color.outputs["Color"], shader.inputs["Base Color"])
-    tree.links.new(rough.outputs["Normal"], shader.inputs["Normal"])
+    tree.links.new(normal, shader.inputs["Normal"])
     output = _add(tree, "ShaderNodeOutputMaterial", (250, 200))
     tree.links.new(shader.outputs[0], output.inputs["Surface"])
     return material
@@ -105,14 +119,15 @@ def add_look(clay: bpy.types.Object, *, spacing: float | None = None) -> bpy.typ
         spacing = 2 * radius.data[0].value
     if not spacing > 0:
         raise ValueError(f"The spacing of {clay.name!r} must be above 0, got {spacing:g}.")
-    if MATERIAL_NAME not in clay.data.materials:
-        clay.data.materials.append(clay_material())
+    material = clay_material()
+    if not any(slot == material for slot in clay.data.materials):
+        clay.data.materials.append(material)
     modifier = clay.modifiers.get(MODIFIER_NAME)
     if modifier is None:
         modifier = clay.modifiers.new(MODIFIER_NAME, "NODES")
         modifier.node_group = _surface_group()
     set_input(modifier, "Spacing", spacing)
-    set_input(modifier, "Material", clay_material())
+    set_input(modifier, "Material", material)
     return modifier
 
 
@@ -144,6 +159,8 @@ def surface_object(
         spacing = float(np.median(np.linalg.norm(sides, axis=1))) / 0.41
     place = mesh.attributes.new(TEXTURE_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
     place.data.foreach_set("vector", (vertices / np.float32(spacing)).ravel())
+    size = mesh.attributes.new(SPACING_ATTRIBUTE, "FLOAT", "POINT")
+    size.data.foreach_set("value", np.full(len(vertices), spacing, np.float32))
     if surface.colors is not None:
         layer = mesh.attributes.new(COLOR_ATTRIBUTE, "FLOAT_COLOR", "POINT")
         layer.data.foreach_set("color", np.ascontiguousarray(surface.colors, np.float32).ravel())
@@ -197,11 +214,11 @@ def _add(tree: bpy.types.NodeTree, kind: str, place: tuple[float, float], **valu
 
 def _surface_group() -> bpy.types.NodeTree:
     """Return the node group of the surface, made at the first call."""
-    tree = bpy.data.node_groups.get(NODE_GROUP_NAME)
-    if tree is not None and tree.get("clay_version") == 1:
-        return tree
+    for tree in bpy.data.node_groups:
+        if tree.get(_MARK) == _VERSION and tree.library is None:
+            return tree
     tree = bpy.data.node_groups.new(NODE_GROUP_NAME, "GeometryNodeTree")
-    tree["clay_version"] = 1
+    tree[_MARK] = _VERSION
     tree.is_modifier = True
     socket = tree.interface.new_socket
     socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
@@ -322,8 +339,13 @@ def _surface_group() -> bpy.types.NodeTree:
     textured.domain = "POINT"
     link(colored.outputs[0], textured.inputs["Geometry"])
     link(unit.outputs[0], textured.inputs["Value"])
+    sized = _add(tree, "GeometryNodeStoreNamedAttribute", (0, 0), Name=SPACING_ATTRIBUTE)
+    sized.data_type = "FLOAT"
+    sized.domain = "POINT"
+    link(textured.outputs[0], sized.inputs["Geometry"])
+    link(given.outputs["Spacing"], sized.inputs["Value"])
     smooth = _add(tree, "GeometryNodeSetShadeSmooth", (100, 0))
-    link(textured.outputs[0], smooth.inputs[0])
+    link(sized.outputs[0], smooth.inputs[0])
     surface = _add(tree, "GeometryNodeSetMaterial", (300, 0))
     link(smooth.outputs[0], surface.inputs["Geometry"])
     link(given.outputs["Material"], surface.inputs["Material"])

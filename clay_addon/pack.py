@@ -22,7 +22,8 @@ NODE_GROUP_NAME = "Clay Playback"
 MODIFIER_NAME = "Clay Playback"
 FRAME_ATTRIBUTE = ".clay_frame_"
 """A leading dot keeps hundreds of attributes out of the lists in the interface."""
-_NODE_GROUP_VERSION = 1
+_MARK = "tactile_clay_playback"
+_VERSION = 1
 _FLOAT_EXACT = 2**24
 """Frames beyond this cannot be told apart by the nodes."""
 
@@ -203,11 +204,11 @@ def _remove_attributes(clay: bpy.types.Object) -> None:
 
 def _playback_group() -> bpy.types.NodeTree:
     """Return the node group of the playback, made at the first call."""
-    tree = bpy.data.node_groups.get(NODE_GROUP_NAME)
-    if tree is not None and tree.get("clay_version") == _NODE_GROUP_VERSION:
-        return tree
+    for tree in bpy.data.node_groups:
+        if tree.get(_MARK) == _VERSION and tree.library is None:
+            return tree
     tree = bpy.data.node_groups.new(NODE_GROUP_NAME, "GeometryNodeTree")
-    tree["clay_version"] = _NODE_GROUP_VERSION
+    tree[_MARK] = _VERSION
     tree.is_modifier = True
     socket = tree.interface.new_socket
     socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
