@@ -15,6 +15,10 @@ _MODULES = (
     "collider",
     "bake_operators",
     "playback",
+    "export",
+    "pack",
+    "export",
+    "pack",
     "command_line",
     "panel",
 )

@@ -156,6 +156,9 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         metavar="FILE",
         help="the file to write: .stl, .obj, .ply or .glb",
     )
+    export.add_argument(
+        "--unit", choices=("m", "mm"), default="m", help="unit of the numbers in the file; m"
+    )
 
     info = add("info", "tell what clay a file holds and what is baked", _info)
     add_file_options(info)
@@ -225,23 +228,27 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
 
 def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
-    from . import export
-    from .cache import CacheError
+    from .export import ExportError, check_target, export_clay
     from .playback import message
+    from .surface import SurfaceError
 
     if arguments.cache is not None:
         scene.tactile_clay.cache_directory = _absolute(arguments.cache)
     frame = scene.frame_current if arguments.frame is None else arguments.frame
-    with context.temp_override(scene=scene):
-        scene.frame_set(frame)
-        if message(scene):
-            raise _CommandError(message(scene), EXIT_STALE)
-        try:
-            table = export.export_clay(context, arguments.output)
-        except (CacheError, ValueError, OSError, RuntimeError) as error:
-            raise _CommandError(str(error)) from error
+    try:
+        check_target(arguments.output, unit=arguments.unit)
+        with context.temp_override(scene=scene):
+            scene.frame_set(frame)
+            if message(scene):
+                raise _CommandError(message(scene), EXIT_STALE)
+            table = export_clay(context, arguments.output.absolute(), unit=arguments.unit)
+    except (ExportError, SurfaceError) as error:
+        raise _CommandError(str(error)) from error
     return EXIT_DONE, _text(
-        arguments, {"frame": frame, **table}, f"Frame {frame} written to {arguments.output}"
+        arguments,
+        {"frame": frame, **table},
+        f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
+        f"volume {table['volume_error']:+.2%} off the particles' own.",
     )
 
 

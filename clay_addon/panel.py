@@ -11,6 +11,7 @@ from . import bake_operators, playback
 from .bake import changes_at_a_glance
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
+from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
 from .simulation import clay_objects, collider_objects
@@ -133,6 +134,11 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
             return
         state, warning = cache_state(scene, cache)
         draw_text(layout, state, icon="INFO")
+        if any(is_packed(item) for item in clay_objects(scene)):
+            draw_text(layout, "Plays the frames packed in the .blend.", icon="PACKAGE")
+            layout.operator("clay.unpack", icon="UGLYPACKAGE")
+        else:
+            layout.operator("clay.pack", icon="PACKAGE")
         for text in (warning, playback.message(scene)):
             if text:
                 draw_text(layout.box(), text, icon="ERROR")
@@ -146,7 +152,7 @@ class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only once there is clay to export."""
-        return hasattr(bpy.types, "CLAY_OT_export") and bool(clay_objects(context.scene))
+        return bool(clay_objects(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

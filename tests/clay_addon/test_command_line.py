@@ -9,6 +9,7 @@ from typing import Any
 
 import bpy
 import pytest
+import trimesh
 
 from tactile_clay.clay_addon import command_line
 from tactile_clay.clay_addon.cache import Cache
@@ -55,6 +56,41 @@ def test_cache_option_is_relative_to_the_shell(
     properties = bpy.context.scene.tactile_clay
     assert Path(bpy.path.abspath(properties.cache_directory)) == elsewhere / "here"
     assert (properties.use_scene_range, properties.frame_end) == (False, 2)
+
+
+def test_export_writes_the_frame_asked_for(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Write the baked shape at a frame, in metres or millimetres, and tell its figures."""
+    assert main(["bake", str(blend)]) == 0
+    lowest = []
+    for frame, unit, scale in ((1, "m", 1.0), (4, "mm", 1000.0)):
+        path = tmp_path / f"shape-{frame}.stl"
+        capfd.readouterr()
+        options = ["--frame", str(frame), "--output", str(path), "--unit", unit, "--json"]
+        assert main(["export", str(blend), *options]) == 0
+        table = json.loads(capfd.readouterr().out)
+        assert (table["frame"], table["watertight"]) == (frame, True)
+        mesh = trimesh.load(path)
+        assert isinstance(mesh, trimesh.Trimesh)
+        assert mesh.volume == pytest.approx(64e-6 * scale**3, rel=0.01)
+        lowest.append(mesh.bounds[0][2] / scale)
+    assert lowest[0] == pytest.approx(0.01, abs=2e-3)
+    assert lowest[1] == pytest.approx(0.0, abs=2e-3)
+
+
+def test_export_of_a_damaged_frame_is_refused(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Write no other frame's shape in place of one that is not whole."""
+    assert main(["bake", str(blend)]) == 0
+    Cache(tmp_path / "clay_cache").frame_path(3).write_bytes(b"")
+    output = tmp_path / "shape.stl"
+    assert main(["export", str(blend), "--frame", "3", "--output", str(output)]) == 3
+    assert "Frame 3: frame_000003.npz is damaged" in capfd.readouterr().err
+    assert not output.exists()
+    assert main(["export", str(blend), "--output", str(tmp_path / "shape.doc")]) == 1
+    assert "Use one of .stl, .obj, .ply, .glb" in capfd.readouterr().err
 
 
 def test_info_of_an_unbaked_file(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
