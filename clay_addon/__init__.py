@@ -17,8 +17,6 @@ _MODULES = (
     "playback",
     "export",
     "pack",
-    "export",
-    "pack",
     "command_line",
     "panel",
 )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .cache import Cache, CacheError, CacheMissingError, Meta
 from .mesh_geometry import transform
+from .pack import is_packed
 from .simulation import clay_objects, read_points
 
 _messages: dict[str, str] = {}
@@ -43,6 +44,10 @@ def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
     """
     clay = clay_objects(scene)
     if not clay or (_pauses and not during_bake):
+        return
+    if all(is_packed(item) for item in clay):
+        # The file plays by itself, and must do so where the cache is gone.
+        _messages.pop(scene.name, None)
         return
     try:
         _messages.pop(scene.name, None)

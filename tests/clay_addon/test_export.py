@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Exported meshes, read back by trimesh and by Blender's own importers."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_clay.clay_addon import export
+from tactile_clay.clay_addon.export import ExportError, check_target, export_clay, write_mesh
+from tactile_clay.clay_addon.surface import Surface, reconstruct
+
+RED, BLUE = (0.6, 0.05, 0.01, 1.0), (0.02, 0.2, 0.8, 1.0)
+SPACING = 0.005
+
+
+@pytest.fixture(scope="module")
+def surface() -> Surface:
+    """A coloured slab, three times as wide as it is high, whose middle is at (0.2, -0.1, 0.3)."""
+    axes = [np.arange(count) - (count - 1) / 2 for count in (12, 8, 4)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    colors = np.where(points[:, :1] < 0, RED, BLUE)
+    return reconstruct(points * SPACING + [0.2, -0.1, 0.3], SPACING, colors=colors)
+
+
+def srgb(linear: Any) -> np.ndarray:
+    """The sRGB transfer curve, from its definition."""
+    linear = np.asarray(linear, float)
+    return np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def read(path: Path) -> trimesh.Trimesh:
+    """Read the one mesh of a file."""
+    loaded = trimesh.load(path)
+    if isinstance(loaded, trimesh.Scene):
+        (loaded,) = loaded.geometry.values()
+    return loaded
+
+
+@pytest.mark.parametrize("suffix", export.SUFFIXES)
+def test_file_is_watertight_and_of_the_same_volume(
+    suffix: str, surface: Surface, tmp_path: Path
+) -> None:
+    """Read back, every format is watertight, wound outward and within 0.5 % of the volume."""
+    path = write_mesh(surface, tmp_path / f"clay{suffix}")
+    mesh = read(path)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert len(mesh.faces) == len(surface.faces)
+    assert mesh.volume == pytest.approx(12 * 8 * 4 * SPACING**3, rel=0.005)
+    assert [item.name for item in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", export.SUFFIXES)
+def test_axes_are_those_of_blenders_exporters(
+    suffix: str, surface: Surface, tmp_path: Path
+) -> None:
+    """STL and PLY keep Z up; OBJ and GLB have Y up."""
+    middle = read(write_mesh(surface, tmp_path / f"clay{suffix}")).bounds.mean(axis=0)
+    expected = (0.2, -0.1, 0.3) if suffix in (".stl", ".ply") else (0.2, 0.3, 0.1)
+    np.testing.assert_allclose(middle, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+def test_colours_are_in_the_formats_own_space(
+    suffix: str, surface: Surface, tmp_path: Path
+) -> None:
+    """OBJ and PLY hold sRGB, GLB holds linear colours; both ends of the slab are right to 1 %."""
+    mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
+    if suffix == ".glb":
+        found = np.asarray(mesh.visual.vertex_attributes["color"])[:, :3]
+    else:
+        found = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255
+    encode = np.asarray if suffix == ".glb" else srgb
+    left, right = mesh.vertices[:, 0] < 0.18, mesh.vertices[:, 0] > 0.22
+    np.testing.assert_allclose(found[left].mean(axis=0), encode(RED[:3]), atol=0.01)
+    np.testing.assert_allclose(found[right].mean(axis=0), encode(BLUE[:3]), atol=0.01)
+
+
+def imported(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """World vertices and linear colours as Blender's own importer reads a file."""
+    before = set(bpy.data.objects)
+    operator = {
+        ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
+        ".obj": lambda: bpy.ops.wm.obj_import(filepath=str(path)),
+        ".ply": lambda: bpy.ops.wm.ply_import(filepath=str(path)),
+        ".glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
+    }[path.suffix]
+    assert operator() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    item = next(item for item in set(bpy.data.objects) - before if item.type == "MESH")
+    mesh = item.data
+    vertices = np.empty((len(mesh.vertices), 3), np.float32)
+    mesh.vertices.foreach_get("co", vertices.ravel())
+    matrix = np.array(item.matrix_world)
+    layer = mesh.color_attributes[0] if len(mesh.color_attributes) else None
+    if layer is None:
+        return vertices @ matrix[:3, :3].T + matrix[:3, 3], None
+    colors = np.empty((len(layer.data), 4), np.float32)
+    layer.data.foreach_get("color", colors.ravel())
+    if layer.domain == "CORNER":
+        corners = np.empty(len(mesh.loops), np.int32)
+        mesh.loops.foreach_get("vertex_index", corners)
+        by_vertex = np.empty((len(vertices), 4), np.float32)
+        by_vertex[corners] = colors
+        colors = by_vertex
+    return vertices @ matrix[:3, :3].T + matrix[:3, 3], colors
+
+
+@pytest.mark.parametrize("suffix", export.SUFFIXES)
+def test_blender_imports_the_same_place_and_colours(
+    suffix: str, surface: Surface, tmp_path: Path
+) -> None:
+    """Blender's importers with default settings bring back place, size and colours."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    vertices, colors = imported(write_mesh(surface, tmp_path / f"clay{suffix}"))
+    np.testing.assert_allclose(vertices.min(axis=0), surface.vertices.min(axis=0), atol=1e-5)
+    np.testing.assert_allclose(vertices.max(axis=0), surface.vertices.max(axis=0), atol=1e-5)
+    if suffix == ".stl":
+        assert colors is None
+        return
+    assert colors is not None
+    left, right = vertices[:, 0] < 0.18, vertices[:, 0] > 0.22
+    np.testing.assert_allclose(colors[left].mean(axis=0), RED, atol=0.01)
+    np.testing.assert_allclose(colors[right].mean(axis=0), BLUE, atol=0.01)
+
+
+@pytest.mark.parametrize("suffix", export.SUFFIXES)
+def test_colourless_surface_is_written(suffix: str, surface: Surface, tmp_path: Path) -> None:
+    """A surface without colours gives a file without colours."""
+    mesh = read(write_mesh(Surface(surface.vertices, surface.faces), tmp_path / f"clay{suffix}"))
+    assert mesh.is_watertight
+    assert mesh.visual.kind != "vertex"
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
+def test_millimetres_are_a_thousand_times_larger(
+    suffix: str, surface: Surface, tmp_path: Path
+) -> None:
+    """The unit scales the numbers in the file."""
+    path = write_mesh(surface, tmp_path / f"clay{suffix}", unit="mm")
+    assert read(path).volume == pytest.approx(surface.volume * 1e9, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "message"),
+    [
+        ("clay.fbx", "m", r"'\.fbx'.*\.stl, \.obj, \.ply, \.glb"),
+        ("clay", "m", "without a suffix"),
+        ("clay.stl", "inch", "m, mm"),
+        ("clay.glb", "mm", "always in metres"),
+        ("nowhere/clay.stl", "m", "does not exist"),
+        ("folder.stl", "m", "is a folder"),
+    ],
+)
+def test_impossible_targets_are_refused(
+    name: str, unit: str, message: str, surface: Surface, tmp_path: Path
+) -> None:
+    """A target that cannot be written is refused before any work, and nothing is left behind."""
+    (tmp_path / "folder.stl").mkdir()
+    with pytest.raises(ExportError, match=message):
+        check_target(tmp_path / name, unit=unit)
+    with pytest.raises(ExportError, match=message):
+        write_mesh(surface, tmp_path / name, unit=unit)
+    assert [item.name for item in tmp_path.iterdir()] == ["folder.stl"]
+
+
+def test_suffix_may_be_upper_case(surface: Surface, tmp_path: Path) -> None:
+    """CLAY.STL is an STL file."""
+    assert read(write_mesh(surface, tmp_path / "CLAY.STL")).is_watertight
+
+
+@pytest.mark.parametrize(
+    ("code", "message"), [(errno.ENOSPC, "disk is full"), (errno.EACCES, "Choose another folder")]
+)
+def test_failed_write_keeps_the_file_that_was_there(
+    code: int, message: str, surface: Surface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where writing fails half-way, the old file stays whole and no other is left."""
+    path = tmp_path / "clay.ply"
+    path.write_bytes(b"old")
+
+    def fail(handle: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(ExportError, match=message):
+        write_mesh(surface, path)
+    assert path.read_bytes() == b"old"
+    assert [item.name for item in tmp_path.iterdir()] == ["clay.ply"]
+
+
+def test_clay_too_far_from_the_origin_is_refused(surface: Surface, tmp_path: Path) -> None:
+    """Where single precision would close up triangles, nothing is written."""
+    far = Surface(surface.vertices + 1e5, surface.faces)
+    with pytest.raises(ExportError, match="closer to the origin"):
+        write_mesh(far, tmp_path / "clay.stl")
+    assert not list(tmp_path.iterdir())
+
+
+# The operator and the scene -----------------------------------------------------------------
+
+
+def test_clay_is_exported_where_it_stands(studio: Any, tmp_path: Path) -> None:
+    """Place, rotation and scale of the object count; the report says what was written."""
+    clay = studio.clay(location=(0.0, 0.0, 0.0))
+    clay.location = (1.0, 2.0, 3.0)
+    clay.rotation_euler = (0.3, 0.2, 0.1)
+    clay.scale = (1.5, 1.5, 1.5)
+    bpy.context.view_layer.update()
+    result = export_clay(bpy.context, tmp_path / "clay.stl")
+    mesh = read(tmp_path / "clay.stl")
+    np.testing.assert_allclose(mesh.bounds.mean(axis=0), (1, 2, 3), atol=2e-3)
+    assert mesh.volume == pytest.approx(64 * 0.015**3, rel=0.005)
+    assert result["particles"] == 64
+    assert result["faces"] == len(mesh.faces)
+    assert result["volume"] == pytest.approx(mesh.volume, rel=1e-3)
+    assert abs(result["volume_error"]) < 0.003
+    assert result["watertight"] is True
+    assert result["file"] == str(tmp_path / "clay.stl")
+
+
+def test_scene_unit_is_honoured(studio: Any, tmp_path: Path) -> None:
+    """In a scene of centimetres a file in metres is a hundredth as large."""
+    studio.clay()
+    before = export_clay(bpy.context, tmp_path / "clay.stl")["volume"]
+    studio.scene.unit_settings.scale_length = 0.01
+    after = export_clay(bpy.context, tmp_path / "clay.stl")["volume"]
+    assert after == pytest.approx(before * 1e-6, rel=1e-3)
+
+
+def test_operator_exports_all_or_selected(studio: Any, tmp_path: Path) -> None:
+    """Two pieces of clay go into one file, or only the selected one."""
+    studio.clay("First")
+    second = studio.clay("Second", location=(0.2, 0.0, 0.03))
+    path = tmp_path / "clay.ply"
+    assert bpy.ops.clay.export(filepath=str(path)) == {"FINISHED"}
+    assert read(path).volume == pytest.approx(128e-6, rel=0.005)
+    studio.select(second)
+    assert bpy.ops.clay.export(filepath=str(path), use_selection=True) == {"FINISHED"}
+    mesh = read(path)
+    assert mesh.volume == pytest.approx(64e-6, rel=0.005)
+    assert mesh.bounds.mean(axis=0)[0] == pytest.approx(0.2, abs=0.002)
+
+
+def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
+    """An unknown suffix, an empty selection and particles that are not finite are reported."""
+    clay = studio.clay()
+    assert ".stl, .obj, .ply, .glb" in studio.refused(
+        bpy.ops.clay.export, filepath=str(tmp_path / "clay.abc")
+    )
+    studio.select()
+    assert "no clay" in studio.refused(
+        bpy.ops.clay.export, filepath=str(tmp_path / "clay.stl"), use_selection=True
+    )
+    clay.data.attributes["position"].data[3].vector = (float("nan"), 0, 0)
+    assert "1 of 64 particles" in studio.refused(
+        bpy.ops.clay.export, filepath=str(tmp_path / "clay.stl")
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_operator_needs_clay(studio: Any, tmp_path: Path) -> None:
+    """Without clay the operator is greyed out and the function says so."""
+    assert not bpy.ops.clay.export.poll()
+    with pytest.raises(ExportError, match="no clay"):
+        export_clay(bpy.context, tmp_path / "clay.stl")
+    with pytest.raises(ExportError, match="'Cube' is a mesh"):
+        export_clay(bpy.context, tmp_path / "clay.stl", objects=[studio.block()])
+
+
+def test_missing_library_is_said(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without pysplashsurf the export says what to install and writes nothing."""
+    studio.clay()
+    monkeypatch.setitem(__import__("sys").modules, "pysplashsurf", None)
+    with pytest.raises(ExportError, match="pysplashsurf is missing"):
+        export_clay(bpy.context, tmp_path / "clay.stl")
+    assert not list(tmp_path.iterdir())
