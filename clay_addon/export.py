@@ -184,10 +184,11 @@ def _particles(
 
     if item.type != "POINTCLOUD":
         raise ExportError(f"{item.name!r} is a {item.type.lower()}, not clay.")
-    if is_packed(item):
-        local = packed_positions(item, scene.frame_current_final)
-    else:
-        local = read_points(item, "position")
+    local: NDArray[np.float32] | None = (
+        packed_positions(item, scene.frame_current_final)
+        if is_packed(item)
+        else read_points(item, "position")
+    )
     if local is None or len(local) == 0:
         raise ExportError(f"{item.name!r} has no particles.")
     spacing = getattr(getattr(item, "tactile_clay", None), "spacing", 0.0)

@@ -87,7 +87,7 @@ def test_between_two_frames_is_their_mean(clay: Any) -> None:
 def test_playback_comes_before_the_look(clay: Any) -> None:
     """The surface is made of the packed positions, not of those at rest."""
     assert [item.name for item in clay.modifiers] == ["Clay Surface"]
-    pack(clay, {1: np.tile(np.float32([5, 0, 0]), (COUNT, 1))})
+    pack(clay, {1: np.tile([5.0, 0.0, 0.0], (COUNT, 1))})
     assert [item.name for item in clay.modifiers] == [MODIFIER_NAME, "Clay Surface"]
     look.set_input(clay.modifiers["Clay Surface"], "Surface", True)
     geometry = clay.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
@@ -191,7 +191,7 @@ def test_saved_file_plays_and_renders_without_the_addon(clay: Any, tmp_path: Pat
     """In a fresh process that never saw the add-on every frame is exact, and a render moves."""
     frames = some_frames(1, 8)
     for number, x in ((1, -0.08), (2, 0.0), (3, 0.08)):
-        frames[number] = frames[number] * np.float32(0.05) + np.float32([x, 0, 0])
+        frames[number] = (frames[number] * 0.05 + [x, 0, 0]).astype(np.float32)
     pack(clay, frames)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -206,7 +206,8 @@ def test_saved_file_plays_and_renders_without_the_addon(clay: Any, tmp_path: Pat
     scene.render.resolution_x, scene.render.resolution_y = 24, 8
     scene.render.image_settings.color_mode = "RGBA"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "packed.blend"))
-    np.savez(tmp_path / "frames.npz", **{str(number): part for number, part in frames.items()})
+    stored: dict[str, Any] = {str(number): part for number, part in frames.items()}
+    np.savez(tmp_path / "frames.npz", **stored)
     (tmp_path / "read_back.py").write_text(READ_BACK)
     done = subprocess.run(
         [sys.executable, str(tmp_path / "read_back.py"), str(tmp_path)],
