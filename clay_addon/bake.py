@@ -16,12 +16,14 @@ import bpy
 import numpy as np
 
 from .cache import Cache, CacheDamagedError, CacheError, Frame, Meta
+from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
 from .properties import frame_range
 from .simulation import (
     Simulation,
     SimulationError,
+    clay_objects,
     frames_per_second,
     scene_digests,
     solver_device,
@@ -243,7 +245,7 @@ def bake_steps(
         max_penetration=max(tally.penetrations, default=None),
         overflow=tally.overflow,
         quarantined=tally.quarantined,
-        warnings=_warnings(tally),
+        warnings=_warnings(scene, tally),
     )
 
 
@@ -492,8 +494,13 @@ def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:
     }
 
 
-def _warnings(tally: _Tally) -> tuple[str, ...]:
-    warnings = []
+def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
+    warnings = [
+        f"{item.name!r} still plays the frames packed in the .blend; pack again, or unpack, to see "
+        "this bake."
+        for item in clay_objects(scene)
+        if is_packed(item)
+    ]
     if tally.quarantined:
         warnings.append(
             f"Particles were held in place {tally.quarantined} times because their state was not "

@@ -310,7 +310,7 @@ class Cache:
                 f"({error.strerror or error}). Choose another folder, or change its permissions."
             ) from error
 
-    def begin(self, meta: Meta, colors: NDArray[np.float32]) -> None:
+    def begin(self, meta: Meta, colors: NDArray[np.floating]) -> None:
         """Start a bake afresh: remove what an earlier one left and write what this one is.
 
         Raises:

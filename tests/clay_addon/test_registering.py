@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registering: what the add-on adds to Blender, and that it takes all of it away again."""
 
+import importlib.util
 import subprocess
 import sys
 from typing import Any
@@ -78,7 +79,7 @@ def test_properties_survive_in_the_file_without_the_addon(studio: Any, tmp_path:
 def test_missing_warp_is_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Say what is missing in one sentence, and nothing where all is there."""
     assert preferences.missing_parts() == []
-    monkeypatch.setattr(preferences.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     (sentence,) = preferences.missing_parts()
     assert "Warp is missing" in sentence
     assert "Install the extension" in sentence
