@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Contact and Coulomb friction between clay particles and planes or moving closed meshes.
 
-A particle is a ball of half the spacing. Contact is inelastic: what would enter is stopped at
-the surface, and the friction correction is at most μ times the normal one (Barreiro, Torres and
-Otaduy, WHC 2021, section III-D). What already lies inside is pushed out no faster than
-`DEPENETRATION_SPEED`, without gaining velocity and without counting as force.
+A particle is a ball of half the spacing. Contacts are found once a substep and then stay what
+they are, a plane each; how hard they push is part of the implicit solve. Friction holds a contact
+by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
+2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
+a collider is moved out no faster than `DEPENETRATION_SPEED`.
 """
 
 from dataclasses import dataclass
@@ -17,150 +18,139 @@ from .scene import MeshCollider, Plane
 
 DEPENETRATION_SPEED = 0.5
 """Speed at which something that lies inside a collider is moved out [m/s]."""
+MOST_CONTACTS = 4
+"""Contacts that a particle can have at once."""
+MARGIN = 0.25
+"""Contacts are found this far off the surface, in spacings: a substep may close the gap."""
+CONTACT_STIFFNESS = 2.0
+"""Stiffness of a contact over that of the clay around the particle."""
 
 
 @wp.struct
 class ContactPass:
-    """What all contacts share, for one time step."""
+    """What all contacts share, for one substep."""
 
     time_step: float
+    time_step_before: float
     radius: float
     """Radius of a particle [m]."""
+    margin: float
+    """How far off contacts are found [m]."""
 
 
 @wp.struct
-class Contact:
-    """Outcome of one contact for a particle."""
+class ContactSlots:
+    """Contacts of all particles, `MOST_CONTACTS` for each."""
 
-    motion: wp.vec3
-    """Its motion in this substep after the contact [m]."""
-    push: wp.vec3
-    """The part that only moves it out, without velocity [m]."""
-    impulse: wp.vec3
-    """The part that counts as force [m]; times m/Δt it is the impulse on the particle."""
+    count: wp.array[int]
+    collider: wp.array2d[int]
+    normal: wp.array2d[wp.vec3]
+    gap: wp.array2d[float]
+    """Distance between ball and surface at the start of the substep [m]."""
+    surface_motion: wp.array2d[wp.vec3]
+    """What the surface moves in this substep [m]."""
+    anchor: wp.array2d[wp.vec3]
+    """Stretch of the friction spring [m]."""
+    impulse: wp.array2d[wp.vec3]
+    """Impulse on the particle at the velocities last looked at [N s]."""
+    normal_stiffness: wp.array2d[float]
+    """[kg]: force derivative times Δt²."""
+    friction_stiffness: wp.array2d[float]
+    """[kg]; less than the normal one where the contact slides."""
+    count_before: wp.array[int]
+    collider_before: wp.array2d[int]
+    anchor_before: wp.array2d[wp.vec3]
 
 
 @wp.func
-def resolve_contact(
-    common: ContactPass,
-    motion: wp.vec3,
-    surface_motion: wp.vec3,
+def add_contact(
+    slots: ContactSlots,
+    i: int,
+    collider: int,
     normal: wp.vec3,
     gap: float,
-    friction: float,
-) -> Contact:
-    """Stop a particle at a surface: the one contact law.
-
-    Args:
-        common: The step's values.
-        motion: What the particle is about to move [m].
-        surface_motion: What the surface moves at the contact [m].
-        normal: Out of the collider, unit length.
-        gap: Distance left between ball and surface after both motions [m], negative inside.
-        friction: Coulomb coefficient.
-    """
-    contact = Contact()
-    contact.motion = motion
-    gap_before = gap - wp.dot(motion - surface_motion, normal)
-    allowed = DEPENETRATION_SPEED * common.time_step
-    correction = wp.min(gap_before + allowed, 0.0) - gap
-    if correction > 0.0:
-        push = wp.clamp(-gap_before, 0.0, wp.min(allowed, correction))
-        normal_part = correction - push
-        motion += normal * correction
-        slip = motion - surface_motion
-        slip -= normal * wp.dot(slip, normal)
-        slip_length = wp.length(slip)
-        held = wp.vec3()
-        if slip_length > 0.0:
-            held = -slip * wp.min(1.0, friction * normal_part / slip_length)
-        contact.motion = motion + held
-        contact.push = normal * push
-        contact.impulse = normal * normal_part + held
-    return contact
+    surface_motion: wp.vec3,
+):
+    """Give a particle a contact, with the anchor that it had on this collider before."""
+    used = slots.count[i]
+    if used < MOST_CONTACTS:
+        slots.collider[i, used] = collider
+        slots.normal[i, used] = normal
+        slots.gap[i, used] = gap
+        slots.surface_motion[i, used] = surface_motion
+        slots.impulse[i, used] = wp.vec3()
+        anchor = wp.vec3()
+        for k in range(slots.count_before[i]):
+            if slots.collider_before[i, k] == collider:
+                anchor = slots.anchor_before[i, k]
+        slots.anchor[i, used] = anchor - normal * wp.dot(anchor, normal)
+        slots.count[i] = used + 1
 
 
 @wp.kernel(enable_backward=False)
-def collide_planes(
+def find_plane_contacts(
     common: ContactPass,
     plane_point: wp.array[wp.vec3],
     plane_normal: wp.array[wp.vec3],
-    friction: wp.array2d[float],
-    material: wp.array[int],
-    mass: wp.array[float],
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
-    push: wp.array[wp.vec3],
-    impulse: wp.array[wp.vec3d],
-    deepest: wp.array[float],
+    slots: ContactSlots,
 ):
-    """Keep particles on the free side of every plane."""
+    """Find the planes that a particle may touch in this substep."""
     i = wp.tid()
-    x = position[i]
     for plane in range(plane_point.shape[0]):
-        motion = velocity[i] * common.time_step + push[i]
         normal = plane_normal[plane]
-        gap = wp.dot(x + motion - plane_point[plane], normal) - common.radius
-        if gap < 0.0:
-            contact = resolve_contact(
-                common, motion, wp.vec3(), normal, gap, friction[material[i], plane]
-            )
-            push[i] = push[i] + contact.push
-            velocity[i] = (contact.motion - push[i]) / common.time_step
-            scale = mass[material[i]] / common.time_step
-            wp.atomic_add(impulse, plane, wp.vec3d(-contact.impulse * scale))
-            wp.atomic_max(deepest, 0, wp.dot(motion, normal) - gap)
+        gap = wp.dot(position[i] - plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(velocity[i], normal), 0.0) * common.time_step
+        if gap - closing < common.margin:
+            add_contact(slots, i, plane, normal, gap, wp.vec3())
 
 
 @wp.kernel(enable_backward=False)
-def collide_meshes(
+def find_mesh_contacts(
     common: ContactPass,
-    substep: int,
-    first_friction: int,
+    substep: wp.array[int],
+    first_collider: int,
     mesh: wp.array[wp.uint64],
     pose: wp.array2d[wp.transform],
     orientation: wp.array[float],
     reach: wp.array[float],
     travel: wp.array[float],
-    friction: wp.array2d[float],
-    material: wp.array[int],
-    mass: wp.array[float],
     position: wp.array[wp.vec3],
-    clearance: wp.array2d[float],
     velocity: wp.array[wp.vec3],
-    push: wp.array[wp.vec3],
-    impulse: wp.array[wp.vec3d],
-    deepest: wp.array[float],
+    clearance: wp.array2d[float],
+    slots: ContactSlots,
 ):
-    """Keep particles out of every mesh.
+    """Find the meshes that a particle may touch in this substep.
 
     ``clearance`` is a lower bound on a particle's distance to a mesh [m]: while motion cannot
     have used it up, the mesh is not asked.
     """
     i = wp.tid()
     x = position[i]
+    motion = velocity[i] * common.time_step
+    moved = wp.length(velocity[i]) * common.time_step_before
+    near = common.radius + common.margin
     for which in range(mesh.shape[0]):
-        motion = velocity[i] * common.time_step + push[i]
-        bound = clearance[which, i] - wp.length(motion) - travel[which]
-        if bound > common.radius:
-            clearance[which, i] = bound
+        bound = clearance[which, i] - moved - travel[which]
+        clearance[which, i] = bound
+        if bound - wp.length(motion) > near:
             continue
-        before = pose[which, substep]
-        after = pose[which, substep + 1]
+        before = pose[which, substep[0]]
+        after = pose[which, substep[0] + 1]
         local = wp.transform_point(wp.transform_inverse(after), x + motion)
         query = wp.mesh_query_point_sign_winding_number(mesh[which], local, reach[which])
         if not query.result:
-            clearance[which, i] = reach[which]
+            clearance[which, i] = reach[which] - wp.length(motion)
             continue
         nearest = wp.mesh_eval_position(mesh[which], query.face, query.u, query.v)
         sign = query.sign
         offset = local - nearest
-        distance = wp.length(offset)
-        clearance[which, i] = sign * distance
-        gap = sign * distance - common.radius
-        if gap < 0.0:
-            if distance > 1.0e-4 * common.radius:
-                normal = offset * (sign / distance)
+        apart = wp.length(offset)
+        clearance[which, i] = sign * apart - wp.length(motion)
+        if sign * apart < near:
+            if apart > 1.0e-4 * common.radius:
+                normal = offset * (sign / apart)
             else:
                 normal = wp.mesh_eval_face_normal(mesh[which], query.face) * orientation[which]
             normal = wp.transform_vector(after, normal)
@@ -168,15 +158,107 @@ def collide_meshes(
             surface_motion = wp.transform_point(after, nearest) - wp.transform_point(
                 before, nearest - drift
             )
-            contact = resolve_contact(
-                common, motion, surface_motion, normal, gap,
-                friction[material[i], first_friction + which],
+            gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
+            add_contact(slots, i, first_collider + which, normal, gap, surface_motion)
+
+
+@wp.kernel(enable_backward=False)
+def press_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+):
+    """Add contact impulses and their tangent to the system: the one contact law.
+
+    A contact pushes with a stiffness times its penetration, tangentially with that stiffness
+    times the slip of its anchor, but at most μ times the normal push.
+    """
+    i = wp.tid()
+    dt = common.time_step
+    block = wp.identity(n=3, dtype=float) * mass[material[i]]
+    contact_count = int(0)
+    if i < slots.count.shape[0]:
+        contact_count = slots.count[i]
+    if contact_count > 0:
+        stiffness = CONTACT_STIFFNESS * wp.trace(diagonal[i]) / 3.0
+        contacts = wp.mat33()
+        push = wp.vec3()
+        for k in range(contact_count):
+            n = slots.normal[i, k]
+            relative = velocity[i] * dt - slots.surface_motion[i, k]
+            gap = slots.gap[i, k]
+            allowed = wp.min(gap + DEPENETRATION_SPEED * dt, 0.0)
+            depth = allowed - gap - wp.dot(relative, n)
+            impulse = wp.vec3()
+            normal_stiffness = float(0.0)
+            friction_stiffness = float(0.0)
+            if depth > 0.0:
+                normal_stiffness = stiffness
+                normal_push = stiffness * depth / dt
+                slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+                slip_length = wp.length(slip)
+                limit = friction[material[i], slots.collider[i, k]] * normal_push
+                friction_stiffness = wp.min(stiffness, limit * dt / wp.max(slip_length, 1.0e-12))
+                impulse = n * normal_push - slip * (friction_stiffness / dt)
+                contacts += (
+                    wp.outer(n, n) * (normal_stiffness - friction_stiffness)
+                    + wp.identity(n=3, dtype=float) * friction_stiffness
+                )
+                push += impulse
+            slots.impulse[i, k] = impulse
+            slots.normal_stiffness[i, k] = normal_stiffness
+            slots.friction_stiffness[i, k] = friction_stiffness
+        residual[i] = residual[i] + push
+        diagonal[i] = diagonal[i] + contacts
+        block += contacts
+    own_block[i] = block
+
+
+@wp.kernel(enable_backward=False)
+def settle_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+):
+    """Sum the impulses that the solve applied, and let anchors stretch or slide.
+
+    The impulse is the linear one that the solve saw: what momentum really changed by.
+    """
+    i = wp.tid()
+    dt = common.time_step
+    for k in range(slots.count[i]):
+        n = slots.normal[i, k]
+        relative = velocity[i] * dt - slots.surface_motion[i, k]
+        normal_stiffness = slots.normal_stiffness[i, k]
+        if normal_stiffness > 0.0:
+            held = slots.friction_stiffness[i, k]
+            along = wp.dot(change[i], n)
+            applied = (
+                slots.impulse[i, k]
+                - n * (along * normal_stiffness)
+                - (change[i] - n * along) * held
             )
-            push[i] = push[i] + contact.push
-            velocity[i] = (contact.motion - push[i]) / common.time_step
-            scale = mass[material[i]] / common.time_step
-            wp.atomic_add(impulse, first_friction + which, wp.vec3d(-contact.impulse * scale))
-            wp.atomic_max(deepest, 0, wp.dot(motion - surface_motion, normal) - gap)
+            slots.impulse[i, k] = applied
+            wp.atomic_add(impulse, slots.collider[i, k], wp.vec3d(-applied))
+            slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+            slip_length = wp.length(slip)
+            limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
+            most = limit * dt / normal_stiffness
+            slots.anchor[i, k] = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+        else:
+            slots.anchor[i, k] = wp.vec3()
+        wp.atomic_max(deepest, 0, -slots.gap[i, k] - wp.dot(relative, n))
 
 
 @wp.kernel(enable_backward=False)
@@ -189,6 +271,52 @@ def blend_vertices(
     """Move a deforming mesh to a fraction of its way."""
     i = wp.tid()
     points[i] = start[i] + (end[i] - start[i]) * fraction
+
+
+class Contacts:
+    """Contacts of all particles with all colliders.
+
+    Args:
+        particle_count: Number of particles.
+        device: Warp device.
+    """
+
+    def __init__(self, particle_count: int, device: wp.Device) -> None:
+        rows = (particle_count, MOST_CONTACTS)
+        self.device = device
+        self.particle_count = particle_count
+        slots = ContactSlots()
+        for name, dtype in (
+            ("collider", int), ("normal", wp.vec3), ("gap", float), ("surface_motion", wp.vec3),
+            ("anchor", wp.vec3), ("impulse", wp.vec3), ("normal_stiffness", float),
+            ("friction_stiffness", float), ("collider_before", int), ("anchor_before", wp.vec3),
+        ):
+            setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
+        slots.count = wp.zeros(particle_count, dtype=int, device=device)
+        slots.count_before = wp.zeros(particle_count, dtype=int, device=device)
+        self.slots = slots
+
+    def begin(self) -> None:
+        """Set the last substep's contacts aside, to find their anchors again."""
+        slots = self.slots
+        wp.copy(slots.count_before, slots.count)
+        wp.copy(slots.collider_before, slots.collider)
+        wp.copy(slots.anchor_before, slots.anchor)
+        slots.count.zero_()
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """Anchors and what they hold on to."""
+        return {
+            "contact_count": self.slots.count.numpy().copy(),
+            "contact_collider": self.slots.collider.numpy().copy(),
+            "contact_anchor": self.slots.anchor.numpy().copy(),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        self.slots.count.assign(state["contact_count"])
+        self.slots.collider.assign(state["contact_collider"])
+        self.slots.anchor.assign(state["contact_anchor"])
 
 
 class PlaneContacts:
@@ -262,7 +390,7 @@ class MeshContacts:
         self.orientation = wp.array(
             [m.orientation for m in self.moving], dtype=float, device=device
         )
-        self.pose = wp.zeros((count, 2), dtype=wp.transform, device=device)
+        self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
         self._targets: list[tuple] = []
 
@@ -328,11 +456,14 @@ class MeshContacts:
                 np.float32,
             )
         )
-        if self.pose.shape[1] != substeps + 1:
-            self.pose = wp.zeros(
-                (len(self.moving), substeps + 1), dtype=wp.transform, device=self.device
-            )
-        self.pose.assign(poses)
+        room = self.pose.shape[1]
+        while room < substeps + 1:
+            room *= 2
+        if room != self.pose.shape[1]:
+            self.pose = wp.zeros((len(self.moving), room), dtype=wp.transform, device=self.device)
+        filled = np.zeros((len(self.moving), room, 7), np.float32)
+        filled[:, : substeps + 1] = poses
+        self.pose.assign(filled)
 
     def begin_substep(self, substep: int, substeps: int) -> None:
         """Bring deforming meshes to the end of a substep."""

@@ -16,8 +16,10 @@ class Settings:
         ValueError: A value is out of range; the message names it and what is allowed.
     """
 
-    substeps: int = 32
-    """Substeps in each 1/60 s; longer steps and fast tools get proportionally more."""
+    substeps: int = 4
+    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more."""
+    iterations: int = 6
+    """Conjugate-gradient iterations in each of a substep's two Newton steps."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
@@ -30,6 +32,10 @@ class Settings:
     def __post_init__(self) -> None:
         if not 1 <= self.substeps <= 4096:
             raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
+        if not 1 <= self.iterations <= 1000:
+            raise ValueError(
+                f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000."
+            )
         if self.model not in MODELS:
             raise ValueError(
                 f"Settings.model is {self.model!r}; it must be one of {', '.join(MODELS)}."

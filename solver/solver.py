@@ -7,11 +7,34 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from .contact import ContactPass, MeshContacts, PlaneContacts, collide_meshes, collide_planes
-from .damping import PieceDamping
+from .bond_law import (
+    BOND_REACH,
+    BREAK_LENGTH,
+    KERNEL_RADIUS,
+    Body,
+    Clay,
+    PairLaw,
+    make_bodies,
+    make_clay,
+    make_pair_laws,
+)
+from .coarse_space import CoarseSpace
+from .conjugate_gradients import ConjugateGradients
+from .contact import (
+    MARGIN,
+    ContactPass,
+    Contacts,
+    MeshContacts,
+    PlaneContacts,
+    find_mesh_contacts,
+    find_plane_contacts,
+    press_contacts,
+    settle_contacts,
+)
 from .diagnostics import Diagnostics
 from .neighbors import Neighbors
-from .plastic_bonds import BOND_REACH, BREAK_LENGTH, KERNEL_RADIUS, PlasticBonds
+from .pairs import Pairs
+from .recording import Recordings
 from .scene import MeshCollider, Plane, Scene
 from .settings import Settings
 
@@ -19,31 +42,52 @@ BASE_STEP = 1.0 / 60.0
 """The step that `Settings.substeps` divides [s]."""
 SKIN = 0.3
 """Extra reach of neighbour lists, in spacings."""
-CHECK_SUBSTEPS = 8
-"""Neighbour lists are looked after this often."""
-SWEEP_LIMIT = 4
+SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
+MOST_SUBSTEPS = 256
+"""Fast clay takes at most this many substeps in 1/60 s."""
+MOST_LAWS = 64
+"""Lengths of substep whose laws are kept."""
+NEWTON_STEPS = 2
+"""Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
 
 
 @wp.kernel(enable_backward=False)
-def integrate(
+def fall_freely(
+    kick: wp.vec3,
+    velocity: wp.array[wp.vec3],
+    velocity_free: wp.array[wp.vec3],
+    quarantined: wp.array[int],
+):
+    """Predict velocities without any inner or contact force.
+
+    A velocity that is not finite is taken for rest: it must not reach the others.
+    """
+    i = wp.tid()
+    if not wp.isfinite(velocity[i]):
+        velocity[i] = wp.vec3()
+        wp.atomic_add(quarantined, 0, 1)
+    velocity_free[i] = velocity[i] + kick
+
+
+@wp.kernel(enable_backward=False)
+def move(
     time_step: float,
     velocity: wp.array[wp.vec3],
-    push: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
-    internal: wp.array[wp.vec2],
     quarantined: wp.array[int],
+    substep: wp.array[int],
 ):
     """Move particles; one whose new state is not finite stays where it is, at rest."""
     i = wp.tid()
-    moved = position[i] + velocity[i] * time_step + push[i]
-    if wp.isfinite(moved) and wp.isfinite(internal[i]):
+    if i == 0:
+        substep[0] = substep[0] + 1
+    moved = position[i] + velocity[i] * time_step
+    if wp.isfinite(moved):
         position[i] = moved
     else:
         velocity[i] = wp.vec3()
-        internal[i] = wp.vec2()
         wp.atomic_add(quarantined, 0, 1)
-    push[i] = wp.vec3()
 
 
 class Solver:
@@ -100,28 +144,34 @@ class Solver:
         )
         self._position = wp.array(scene.initial_positions(), dtype=wp.vec3, device=self.device)
         self._velocity = wp.array(scene.initial_velocities(), dtype=wp.vec3, device=self.device)
-        self._velocity_next = wp.zeros(count, dtype=wp.vec3, device=self.device)
-        self._internal = wp.zeros(count, dtype=wp.vec2, device=self.device)
-        self._internal_next = wp.zeros(count, dtype=wp.vec2, device=self.device)
-        self._push = wp.zeros(count, dtype=wp.vec3, device=self.device)
+        self._velocity_free = wp.zeros(count, dtype=wp.vec3, device=self.device)
+        self._diagonal = wp.zeros(count, dtype=wp.mat33, device=self.device)
+        self._own_block = wp.zeros(count, dtype=wp.mat33, device=self.device)
+        self._substep = wp.zeros(1, dtype=int, device=self.device)
+        self._recordings = Recordings(self.device)
         self._quarantined = wp.zeros(1, dtype=int, device=self.device)
         self._deepest = wp.zeros(1, dtype=float, device=self.device)
-        self._clay = PlasticBonds(
-            scene.spacing, scene.gravity, self._materials, self.settings, self.device
+        self._bodies = wp.array(
+            make_bodies(self._materials, scene.spacing), dtype=Body, device=self.device
         )
         reach = max(KERNEL_RADIUS, BREAK_LENGTH) * scene.spacing
         self._neighbors = Neighbors(count, reach, SKIN * scene.spacing, self.device)
+        self._pairs = Pairs(count, self.device)
+        self._gradients = ConjugateGradients(count, self.device)
+        self._coarse = CoarseSpace(count, scene.spacing, self.device)
+        self._time_step_before = 0.0
+        self._laws: dict[float, tuple[Clay, wp.array]] = {}
         if count:
             self._neighbors.rebuild(self._position)
             if self.settings.elastoplasticity:
                 self._neighbors.bond_all(self._position, BOND_REACH * scene.spacing)
-        self._damping = (
-            PieceDamping(count, self.device)
-            if self.settings.elastoplasticity and self.settings.viscosity and count
-            else None
-        )
         colliders: list[Plane | MeshCollider] = [*scene.planes, *scene.meshes]
         self._colliders = colliders
+        self._contacts = Contacts(count, self.device) if colliders else None
+        self._slots = self._contacts.slots if self._contacts else Contacts(0, self.device).slots
+        self._least_mass = min((m.density for m in self._materials), default=1.0) * (
+            scene.spacing**3
+        )
         self._planes = PlaneContacts(scene.planes, self.device) if scene.planes else None
         self._meshes = MeshContacts(scene.meshes, count, self.device) if scene.meshes else None
         self._impulse = wp.zeros(len(colliders), dtype=wp.vec3d, device=self.device)
@@ -144,39 +194,55 @@ class Solver:
         """
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"A step of {duration!r} s is not possible; it must be above 0.")
-        substeps = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
+        shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
+        substeps = max(shortest, self._substeps_for_speed(duration))
         if self._meshes:
-            substeps = self._plan_colliders(substeps)
+            substeps = max(substeps, self._plan_colliders(shortest, substeps))
         time_step = duration / substeps
-        self._clay.prepare(time_step, BASE_STEP / self.settings.substeps)
-        common = ContactPass()
-        common.time_step = time_step
-        common.radius = 0.5 * self.scene.spacing
+        self._prepare_law(time_step)
         self._impulse.zero_()
         self._deepest.zero_()
-        for substep in range(substeps if self.scene.particle_count else 0):
-            if substep % CHECK_SUBSTEPS == 0:
+        self._substep.zero_()
+        if self.scene.particle_count:
+            self._coarse.place_cells(self._position)
+            for substep in range(substeps):
                 self._neighbors.rebuild_if_moved(self._position)
-            self._run_substep(common, substep, substeps)
-        if self._damping:
-            self._damping.apply(
-                duration,
-                self._neighbors,
-                self._material,
-                self._mass,
-                self._position,
-                self._velocity,
-            )
+                self._run_substep(time_step, substep, substeps)
         self.time += duration
         self._duration = duration
         self._substeps = substeps
 
-    def _plan_colliders(self, substeps: int) -> int:
+    def _substeps_for_speed(self, duration: float) -> int:
+        """Substeps such that the fastest particle moves about a spacing in one."""
+        if not self.scene.particle_count:
+            return 1
+        speeds = np.linalg.norm(self._velocity.numpy(), axis=1)
+        speed = float(np.max(speeds, initial=0.0, where=np.isfinite(speeds)))
+        most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
+        return min(math.ceil(speed * duration / self.scene.spacing), most)
+
+    def _prepare_law(self, time_step: float) -> None:
+        """Take up the laws for a substep; recordings hold on to those made before."""
+        if time_step not in self._laws:
+            if len(self._laws) >= MOST_LAWS:
+                self._laws.clear()
+                self._recordings.clear()
+            scene = self.scene
+            laws = make_pair_laws(self._materials, self.settings, scene.spacing, time_step)
+            self._laws[time_step] = (
+                make_clay(
+                    self.settings, scene.spacing, scene.gravity, len(self._materials), time_step
+                ),
+                wp.array(laws, dtype=PairLaw, device=self.device),
+            )
+        self._clay, self._pair_laws = self._laws[time_step]
+
+    def _plan_colliders(self, shortest: int, substeps: int) -> int:
         """Substeps such that no collider moves more than half a particle's radius in one."""
         assert self._meshes is not None
         motions = self._meshes.farthest_motion()
         stride = 0.25 * self.scene.spacing
-        most = SWEEP_LIMIT * substeps
+        most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = [m for m, jumps in zip(motions, teleported, strict=True) if not jumps]
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
@@ -184,75 +250,160 @@ class Solver:
         self._meshes.begin_step(substeps, motions, teleported)
         return substeps
 
-    def _run_substep(self, common: ContactPass, substep: int, substeps: int) -> None:
-        count = self.scene.particle_count
-        self._clay.launch(
-            self._material,
-            self._position,
-            self._velocity,
-            self._internal,
-            self._neighbors,
-            self._velocity_next,
-            self._internal_next,
-        )
-        self._velocity, self._velocity_next = self._velocity_next, self._velocity
-        self._internal, self._internal_next = self._internal_next, self._internal
+    def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
+        """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
         if self._meshes:
-            meshes = self._meshes
-            meshes.begin_substep(substep, substeps)
+            self._meshes.begin_substep(substep, substeps)
+        common = ContactPass()
+        common.time_step = time_step
+        common.time_step_before = self._time_step_before
+        common.radius = 0.5 * self.scene.spacing
+        common.margin = MARGIN * self.scene.spacing
+        key = (
+            time_step,
+            self._time_step_before,
+            self._coarse.matrix.ptr,
+            self._meshes.pose.ptr if self._meshes else 0,
+        )
+        self._recordings.run((*key, "open"), lambda: self._open_substep(common))
+        self._coarse.invert(self._least_mass)
+        self._recordings.run((*key, "close"), lambda: self._close_substep(common))
+        self._time_step_before = time_step
+
+    def _open_substep(self, common: ContactPass) -> None:
+        """Everything up to the coarse matrix."""
+        self._pairs.gather(self._clay, self._position, self._neighbors)
+        # Velocities are those of the middle of a substep, so gravity acts from middle to middle:
+        # free fall is exact whatever the substeps (leapfrog).
+        kick = self._clay.gravity * (0.5 * (common.time_step + common.time_step_before))
+        wp.launch(
+            fall_freely,
+            dim=self.scene.particle_count,
+            inputs=[kick, self._velocity, self._velocity_free, self._quarantined],
+            device=self.device,
+        )
+        if self._contacts:
+            self._find_contacts(common)
+        self._linearize(common)
+        self._coarse.assemble(self._position, self._own_block, self._pairs)
+
+    def _close_substep(self, common: ContactPass) -> None:
+        """Newton's method, and what follows from the velocities it finds."""
+        count = self.scene.particle_count
+        for newton in range(NEWTON_STEPS):
+            if newton > 0:
+                self._linearize(common)
+            self._gradients.solve(
+                self.settings.iterations,
+                self._clay,
+                self._bodies,
+                self._material,
+                self._position,
+                self._pairs,
+                self._diagonal,
+                self._own_block,
+                self._coarse,
+                self._velocity,
+            )
+        if self._contacts:
             wp.launch(
-                collide_meshes,
+                settle_contacts,
                 dim=count,
                 inputs=[
                     common,
-                    substep,
+                    self._friction,
+                    self._material,
+                    self._velocity,
+                    self._gradients.change,
+                    self._contacts.slots,
+                    self._impulse,
+                    self._deepest,
+                ],
+                device=self.device,
+            )
+        self._pairs.measure(self._clay, self._velocity)
+        self._pairs.flow(self._clay, self._pair_laws, self._material, self._neighbors)
+        wp.launch(
+            move,
+            dim=count,
+            inputs=[
+                common.time_step,
+                self._velocity,
+                self._position,
+                self._quarantined,
+                self._substep,
+            ],
+            device=self.device,
+        )
+
+    def _find_contacts(self, common: ContactPass) -> None:
+        assert self._contacts is not None
+        count = self.scene.particle_count
+        self._contacts.begin()
+        if self._meshes:
+            meshes = self._meshes
+            wp.launch(
+                find_mesh_contacts,
+                dim=count,
+                inputs=[
+                    common,
+                    self._substep,
                     len(self.scene.planes),
                     meshes.mesh,
                     meshes.pose,
                     meshes.orientation,
                     meshes.reach,
                     meshes.travel,
-                    self._friction,
-                    self._material,
-                    self._mass,
                     self._position,
-                    meshes.clearance,
                     self._velocity,
-                    self._push,
-                    self._impulse,
-                    self._deepest,
+                    meshes.clearance,
+                    self._contacts.slots,
                 ],
                 device=self.device,
             )
         if self._planes:
             wp.launch(
-                collide_planes,
+                find_plane_contacts,
                 dim=count,
                 inputs=[
                     common,
                     self._planes.point,
                     self._planes.normal,
-                    self._friction,
-                    self._material,
-                    self._mass,
                     self._position,
                     self._velocity,
-                    self._push,
-                    self._impulse,
-                    self._deepest,
+                    self._contacts.slots,
                 ],
                 device=self.device,
             )
+
+    def _linearize(self, common: ContactPass) -> None:
+        """Residual and tangent of pairs and contacts at the present velocities."""
+        count = self.scene.particle_count
+        self._pairs.measure(self._clay, self._velocity)
+        self._pairs.sum_forces(
+            self._clay,
+            self._pair_laws,
+            self._bodies,
+            self._material,
+            self._velocity_free,
+            self._velocity,
+            self._gradients.residual,
+            self._diagonal,
+        )
+        slots = self._slots
         wp.launch(
-            integrate,
+            press_contacts,
             dim=count,
             inputs=[
-                common.time_step,
+                common,
+                self._friction,
+                self._material,
+                self._mass,
                 self._velocity,
-                self._push,
-                self._position,
-                self._internal,
-                self._quarantined,
+                slots,
+                self._gradients.residual,
+                self._diagonal,
+                self._own_block,
             ],
             device=self.device,
         )
@@ -286,8 +437,7 @@ class Solver:
         compression = 0.0
         speed = 0.0
         if count:
-            bulk = self._clay.bulk_modulus(self._material.numpy())
-            compression = float((self._internal.numpy()[:, 1] / bulk).mean())
+            compression = float(self._pairs.compression.numpy().mean())
             speed = float(np.linalg.norm(self._velocity.numpy(), axis=1).max())
         return Diagnostics(
             time=self.time,
@@ -297,8 +447,8 @@ class Solver:
             volume_error=compression,
             max_penetration=float(self._deepest.numpy()[0]),
             max_speed=speed,
-            clamped=int(self._clay.clamped.numpy()[0]),
-            overflow=self._neighbors.overflow,
+            clamped=0,
+            overflow=self._neighbors.overflow + int(self._pairs.overflow.numpy()[0]),
             quarantined=int(self._quarantined.numpy()[0]),
             teleported=self._teleported,
         )
@@ -311,11 +461,9 @@ class Solver:
         if self._planes:
             passes.append(f"contact with {len(self.scene.planes)} planes")
         passes.append("motion")
-        if self._damping:
-            passes.append("damping of pieces")
         held = sum(
             array.capacity
-            for part in (self, self._neighbors, self._clay, self._damping, self._meshes)
+            for part in (self, self._neighbors, self._pairs, self._gradients, self._coarse, self._meshes)
             if part is not None
             for array in vars(part).values()
             if isinstance(array, wp.array)
@@ -338,18 +486,19 @@ class Solver:
             "time": np.array(self.time),
             "position": self.positions(),
             "velocity": self.velocities(),
-            "internal": self._internal.numpy().copy(),
+            "compression": self._pairs.compression.numpy().copy(),
+            "time_step_before": np.array(self._time_step_before),
             "counts": np.array(
                 [
-                    int(self._clay.clamped.numpy()[0]),
+                    int(self._pairs.overflow.numpy()[0]),
                     int(self._quarantined.numpy()[0]),
                     self._teleported,
                 ]
             ),
             **self._neighbors.snapshot(),
         }
-        if self._damping:
-            state.update(self._damping.snapshot())
+        if self._contacts:
+            state.update(self._contacts.snapshot())
         if self._meshes:
             state.update(self._meshes.snapshot())
         return state
@@ -363,7 +512,7 @@ class Solver:
         own = self.snapshot()
         if set(own) != set(snapshot):
             raise ValueError("The snapshot is of a scene with other parts, or damaged.")
-        for name in ("position", "collider_clearance", "piece_label"):
+        for name in ("position", "collider_clearance"):
             if name in own and own[name].shape != snapshot[name].shape:
                 raise ValueError(
                     f"The snapshot has {name} of shape {snapshot[name].shape}, this scene "
@@ -372,12 +521,13 @@ class Solver:
         self.time = float(snapshot["time"])
         self._position.assign(snapshot["position"])
         self._velocity.assign(snapshot["velocity"])
-        self._internal.assign(snapshot["internal"])
-        clamped, quarantined, self._teleported = (int(n) for n in snapshot["counts"])
-        self._clay.clamped.fill_(clamped)
+        self._pairs.compression.assign(snapshot["compression"])
+        self._time_step_before = float(snapshot["time_step_before"])
+        overflow, quarantined, self._teleported = (int(n) for n in snapshot["counts"])
+        self._pairs.overflow.fill_(overflow)
         self._quarantined.fill_(quarantined)
         self._neighbors.restore(snapshot)
-        if self._damping:
-            self._damping.restore(snapshot)
+        if self._contacts:
+            self._contacts.restore(snapshot)
         if self._meshes:
             self._meshes.restore(snapshot)

@@ -35,8 +35,8 @@ def test_volume_comes_back_after_a_press(pressed: Press):
 
 
 def test_nothing_enters_the_tool(pressed: Press):
-    """Keep particles out of the sphere to a hundredth of a spacing."""
-    assert pressed.largest_penetration < 0.01 * 0.005
+    """Keep particles out of the sphere to a tenth of a spacing, at 15 N."""
+    assert pressed.largest_penetration < 0.1 * 0.005
 
 
 def test_force_grows_with_yield_stress():

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A coarse space of rigid motions: what makes few iterations enough.
+
+Particles are gathered in box cells; each cell has six rigid modes. Solving the system restricted
+to these modes (Galerkin, P^T A P) carries at once what neighbours would pass on over many
+iterations: weight, support, whole-body motion. It is used beside a block-Jacobi preconditioner
+(additive Schwarz with a coarse space; Toselli and Widlund, *Domain Decomposition Methods*, 2005,
+chapter 3), and once more at the end of each solve: then no net impulse is left over in any cell,
+so momentum is kept and a block at rest weighs exactly what it should.
+"""
+
+import numpy as np
+import warp as wp
+
+CELL = 8.0
+"""Edge of a cell, in spacings."""
+MOST_CELLS = 64
+"""Cells grow until no more than this are occupied."""
+MODES = 6
+
+
+@wp.func
+def rigid_row(arm: wp.vec3, direction: wp.vec3) -> wp.spatial_vector:
+    """How a cell's six rigid modes move a particle along a direction."""
+    turn = wp.cross(arm, direction)
+    return wp.spatial_vector(
+        direction[0], direction[1], direction[2], turn[0], turn[1], turn[2]
+    )
+
+
+@wp.func
+def add_block(
+    matrix: wp.array2d[float], row: int, column: int, a: wp.spatial_vector, b: wp.spatial_vector,
+    scale: float,
+):
+    """Add scale a b^T to the 6x6 block of two cells."""
+    for p in range(MODES):
+        ap = a[p] * scale
+        for q in range(MODES):
+            wp.atomic_add(matrix, MODES * row + p, MODES * column + q, ap * b[q])
+
+
+@wp.kernel(enable_backward=False)
+def assemble(
+    cell: wp.array[int],
+    center: wp.array[wp.vec3],
+    position: wp.array[wp.vec3],
+    own_block: wp.array[wp.mat33],
+    count: wp.array[int],
+    other: wp.array2d[int],
+    direction: wp.array2d[wp.vec3],
+    stiffness: wp.array2d[float],
+    matrix: wp.array2d[float],
+):
+    """Sum P^T A P: mass and contacts of each particle, and bonds that join two cells."""
+    i = wp.tid()
+    own = cell[i]
+    x = position[i]
+    arm = x - center[own]
+    block = own_block[i]
+    for axis in range(3):
+        unit = wp.vec3(
+            wp.where(axis == 0, 1.0, 0.0), wp.where(axis == 1, 1.0, 0.0),
+            wp.where(axis == 2, 1.0, 0.0),
+        )
+        add_block(matrix, own, own, rigid_row(arm, unit), rigid_row(arm, block * unit), 1.0)
+    for e in range(count[i]):
+        j = other[i, e]
+        theirs = cell[j]
+        if theirs != own:
+            # Both ends keep the pair: each adds its own row of blocks.
+            n = direction[i, e]
+            mine = rigid_row(arm, n)
+            add_block(matrix, own, own, mine, mine, stiffness[i, e])
+            add_block(
+                matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -stiffness[i, e]
+            )
+
+
+@wp.kernel(enable_backward=False)
+def restrict(
+    cell: wp.array[int],
+    center: wp.array[wp.vec3],
+    position: wp.array[wp.vec3],
+    residual: wp.array[wp.vec3],
+    sums: wp.array[float],
+):
+    """Sum the residual onto the cells' modes."""
+    i = wp.tid()
+    own = cell[i]
+    row = rigid_row(position[i] - center[own], residual[i])
+    for p in range(MODES):
+        wp.atomic_add(sums, MODES * own + p, row[p])
+
+
+@wp.kernel(enable_backward=False)
+def apply_inverse(inverse: wp.array2d[float], sums: wp.array[float], modes: wp.array[float]):
+    """Multiply by the inverse of the coarse matrix."""
+    row = wp.tid()
+    total = float(0.0)
+    for column in range(sums.shape[0]):
+        total += inverse[row, column] * sums[column]
+    modes[row] = total
+
+
+@wp.func
+def prolong(
+    cell: int, arm: wp.vec3, modes: wp.array[float]
+) -> wp.vec3:
+    """Velocity that a cell's modes give a particle."""
+    k = MODES * cell
+    shift = wp.vec3(modes[k], modes[k + 1], modes[k + 2])
+    turn = wp.vec3(modes[k + 3], modes[k + 4], modes[k + 5])
+    return shift + wp.cross(turn, arm)
+
+
+class CoarseSpace:
+    """Cells, their matrix and its inverse.
+
+    Args:
+        particle_count: Number of particles.
+        spacing: Particle spacing [m].
+        device: Warp device.
+    """
+
+    def __init__(self, particle_count: int, spacing: float, device: wp.Device) -> None:
+        self.device = device
+        self.particle_count = particle_count
+        self.spacing = spacing
+        self.cell = wp.zeros(particle_count, dtype=int, device=device)
+        self._resize(1)
+
+    def _resize(self, cells: int) -> None:
+        size = MODES * cells
+        self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
+        self.matrix = wp.zeros((size, size), dtype=float, device=self.device)
+        self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
+        self.sums = wp.zeros(size, dtype=float, device=self.device)
+        self.modes = wp.zeros(size, dtype=float, device=self.device)
+
+    def place_cells(self, position: wp.array) -> None:
+        """Lay cells over the particles."""
+        points = position.numpy().astype(np.float64)
+        low, extent = points.min(0), np.ptp(points, axis=0)
+        edge = CELL * self.spacing
+        while True:
+            counts = np.maximum(np.round(extent / edge), 1.0)
+            place = np.minimum((points - low) / np.maximum(extent / counts, 1e-30), counts - 1)
+            whole = place.astype(np.int64)
+            key = (whole[:, 0] * int(counts[1]) + whole[:, 1]) * int(counts[2]) + whole[:, 2]
+            _, cell = np.unique(key, return_inverse=True)
+            cell = cell.reshape(-1)
+            cells = int(cell.max()) + 1
+            if cells <= MOST_CELLS:
+                break
+            edge *= 1.25
+        room = 1 << (cells - 1).bit_length()
+        if room != self.center.shape[0]:
+            self._resize(room)
+        sizes = np.bincount(cell, minlength=cells)
+        center = np.zeros((room, 3), np.float32)
+        center[:cells] = np.stack([np.bincount(cell, axis, cells) / sizes for axis in points.T], 1)
+        self.cell.assign(cell.astype(np.int32))
+        self.center.assign(center)
+
+    def assemble(self, position: wp.array, own_block: wp.array, pairs) -> None:
+        """Sum the coarse matrix.
+
+        Args:
+            position: Particle positions [m].
+            own_block: Mass and contact stiffness of each particle [kg].
+            pairs: The acting pairs with their stiffness.
+        """
+        self.matrix.zero_()
+        wp.launch(
+            assemble,
+            dim=self.particle_count,
+            inputs=[
+                self.cell, self.center, position, own_block, pairs.count, pairs.other,
+                pairs.direction, pairs.stiffness, self.matrix,
+            ],
+            device=self.device,
+        )
+
+    def invert(self, least_mass: float) -> None:
+        """Invert the coarse matrix, on the host: it is small.
+
+        Args:
+            least_mass: A particle's mass [kg], to weigh modes that nothing holds.
+        """
+        matrix = self.matrix.numpy().astype(np.float64)
+        matrix = 0.5 * (matrix + matrix.T)
+        # Cells of one or two particles cannot turn; a little inertia keeps their modes quiet.
+        ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, len(matrix) // MODES)
+        matrix[np.diag_indices_from(matrix)] += ridge * least_mass
+        self.inverse.assign(np.linalg.inv(matrix).astype(np.float32))
+
+    def solve(self, position: wp.array, residual: wp.array) -> None:
+        """Find the cells' motions for a residual; `prolong` hands them to particles."""
+        self.sums.zero_()
+        wp.launch(
+            restrict,
+            dim=self.particle_count,
+            inputs=[self.cell, self.center, position, residual, self.sums],
+            device=self.device,
+        )
+        wp.launch(
+            apply_inverse,
+            dim=self.sums.shape[0],
+            inputs=[self.inverse, self.sums, self.modes],
+            device=self.device,
+        )
