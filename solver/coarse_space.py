@@ -12,6 +12,8 @@ so momentum is kept and a block at rest weighs exactly what it should.
 import numpy as np
 import warp as wp
 
+from .pairs import Pairs
+
 CELL = 8.0
 """Edge of a cell, in spacings."""
 MOST_CELLS = 64
@@ -23,16 +25,18 @@ MODES = 6
 def rigid_row(arm: wp.vec3, direction: wp.vec3) -> wp.spatial_vector:
     """How a cell's six rigid modes move a particle along a direction."""
     turn = wp.cross(arm, direction)
-    return wp.spatial_vector(
-        direction[0], direction[1], direction[2], turn[0], turn[1], turn[2]
-    )
+    return wp.spatial_vector(direction[0], direction[1], direction[2], turn[0], turn[1], turn[2])
 
 
 @wp.func
 def add_block(
-    matrix: wp.array2d[float], row: int, column: int, a: wp.spatial_vector, b: wp.spatial_vector,
+    matrix: wp.array2d[float],
+    row: int,
+    column: int,
+    a: wp.spatial_vector,
+    b: wp.spatial_vector,
     scale: float,
-):
+) -> None:
     """Add scale a b^T to the 6x6 block of two cells."""
     for p in range(MODES):
         ap = a[p] * scale
@@ -51,7 +55,7 @@ def assemble(
     direction: wp.array2d[wp.vec3],
     stiffness: wp.array2d[float],
     matrix: wp.array2d[float],
-):
+) -> None:
     """Sum P^T A P: mass and contacts of each particle, and bonds that join two cells."""
     i = wp.tid()
     own = cell[i]
@@ -60,7 +64,8 @@ def assemble(
     block = own_block[i]
     for axis in range(3):
         unit = wp.vec3(
-            wp.where(axis == 0, 1.0, 0.0), wp.where(axis == 1, 1.0, 0.0),
+            wp.where(axis == 0, 1.0, 0.0),
+            wp.where(axis == 1, 1.0, 0.0),
             wp.where(axis == 2, 1.0, 0.0),
         )
         add_block(matrix, own, own, rigid_row(arm, unit), rigid_row(arm, block * unit), 1.0)
@@ -72,9 +77,7 @@ def assemble(
             n = direction[i, e]
             mine = rigid_row(arm, n)
             add_block(matrix, own, own, mine, mine, stiffness[i, e])
-            add_block(
-                matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -stiffness[i, e]
-            )
+            add_block(matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -stiffness[i, e])
 
 
 @wp.kernel(enable_backward=False)
@@ -84,7 +87,7 @@ def restrict(
     position: wp.array[wp.vec3],
     residual: wp.array[wp.vec3],
     sums: wp.array[float],
-):
+) -> None:
     """Sum the residual onto the cells' modes."""
     i = wp.tid()
     own = cell[i]
@@ -94,7 +97,9 @@ def restrict(
 
 
 @wp.kernel(enable_backward=False)
-def apply_inverse(inverse: wp.array2d[float], sums: wp.array[float], modes: wp.array[float]):
+def apply_inverse(
+    inverse: wp.array2d[float], sums: wp.array[float], modes: wp.array[float]
+) -> None:
     """Multiply by the inverse of the coarse matrix."""
     row = wp.tid()
     total = float(0.0)
@@ -104,9 +109,7 @@ def apply_inverse(inverse: wp.array2d[float], sums: wp.array[float], modes: wp.a
 
 
 @wp.func
-def prolong(
-    cell: int, arm: wp.vec3, modes: wp.array[float]
-) -> wp.vec3:
+def prolong(cell: int, arm: wp.vec3, modes: wp.array[float]) -> wp.vec3:
     """Velocity that a cell's modes give a particle."""
     k = MODES * cell
     shift = wp.vec3(modes[k], modes[k + 1], modes[k + 2])
@@ -163,7 +166,7 @@ class CoarseSpace:
         self.cell.assign(cell.astype(np.int32))
         self.center.assign(center)
 
-    def assemble(self, position: wp.array, own_block: wp.array, pairs) -> None:
+    def assemble(self, position: wp.array, own_block: wp.array, pairs: Pairs) -> None:
         """Sum the coarse matrix.
 
         Args:
@@ -176,8 +179,15 @@ class CoarseSpace:
             assemble,
             dim=self.particle_count,
             inputs=[
-                self.cell, self.center, position, own_block, pairs.count, pairs.other,
-                pairs.direction, pairs.stiffness, self.matrix,
+                self.cell,
+                self.center,
+                position,
+                own_block,
+                pairs.count,
+                pairs.other,
+                pairs.direction,
+                pairs.stiffness,
+                self.matrix,
             ],
             device=self.device,
         )

@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preconditioned conjugate gradients for a Newton step of the pair forces and contacts."""
 
+from typing import Any
+
 import warp as wp
 
 from .bond_law import Body, Clay
 from .coarse_space import CoarseSpace, prolong
+from .pairs import Pairs
 
 # Places in the array of scalars.
 _RESIDUAL = 0
@@ -13,7 +16,7 @@ _RESIDUAL_NEXT = 2
 
 
 @wp.kernel(enable_backward=False)
-def invert_diagonal(block: wp.array[wp.mat33], inverse: wp.array[wp.mat33]):
+def invert_diagonal(block: wp.array[wp.mat33], inverse: wp.array[wp.mat33]) -> None:
     """Invert each particle's own block."""
     i = wp.tid()
     inverse[i] = wp.inverse(block[i])
@@ -25,7 +28,7 @@ def start(
     residual: wp.array[wp.vec3],
     z: wp.array[wp.vec3],
     change: wp.array[wp.vec3],
-):
+) -> None:
     """Begin from no change."""
     i = wp.tid()
     z[i] = inverse[i] * residual[i]
@@ -42,7 +45,7 @@ def finish_z(
     z: wp.array[wp.vec3],
     scalars: wp.array[wp.float64],
     where: int,
-):
+) -> None:
     """Add the coarse part to the preconditioned residual, and sum its square."""
     i = wp.tid()
     full = z[i] + prolong(cell[i], position[i] - center[cell[i]], modes)
@@ -53,7 +56,7 @@ def finish_z(
 @wp.kernel(enable_backward=False)
 def turn_direction(
     z: wp.array[wp.vec3], direction: wp.array[wp.vec3], scalars: wp.array[wp.float64], first: int
-):
+) -> None:
     """Make the next direction conjugate to the last."""
     i = wp.tid()
     if first == 1:
@@ -66,7 +69,7 @@ def turn_direction(
 
 
 @wp.kernel(enable_backward=False)
-def shift_scalars(scalars: wp.array[wp.float64], first: int):
+def shift_scalars(scalars: wp.array[wp.float64], first: int) -> None:
     """Make this iteration's residual the last one's."""
     if first == 0:
         scalars[_RESIDUAL] = scalars[_RESIDUAL_NEXT]
@@ -86,7 +89,7 @@ def press_pairs(
     slope: wp.array2d[float],
     direction: wp.array[wp.vec3],
     pressure_change: wp.array[float],
-):
+) -> None:
     """How a motion changes the pressure of compressed particles."""
     i = wp.tid()
     total = float(0.0)
@@ -110,7 +113,7 @@ def multiply(
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
     scalars: wp.array[wp.float64],
-):
+) -> None:
     """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
     i = wp.tid()
     p = direction[i]
@@ -134,7 +137,7 @@ def advance(
     change: wp.array[wp.vec3],
     residual: wp.array[wp.vec3],
     z: wp.array[wp.vec3],
-):
+) -> None:
     """Go along the direction to where the residual is least."""
     i = wp.tid()
     if scalars[_CURVATURE] > wp.float64(0.0):
@@ -152,7 +155,7 @@ def add_rigid(
     position: wp.array[wp.vec3],
     change: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
-):
+) -> None:
     """Add what the coarse space still finds, and take the whole change over."""
     i = wp.tid()
     whole = change[i] + prolong(cell[i], position[i] - center[cell[i]], modes)
@@ -173,7 +176,7 @@ class ConjugateGradients:
     def __init__(self, particle_count: int, device: wp.Device) -> None:
         self.device = device
         self.particle_count = particle_count
-        vectors = dict(dtype=wp.vec3, device=device)
+        vectors: dict[str, Any] = {"dtype": wp.vec3, "device": device}
         self.residual = wp.zeros(particle_count, **vectors)
         self.z = wp.zeros(particle_count, **vectors)
         self.direction = wp.zeros(particle_count, **vectors)
@@ -183,7 +186,7 @@ class ConjugateGradients:
         self.pressure_change = wp.zeros(particle_count, dtype=float, device=device)
         self.scalars = wp.zeros(3, dtype=wp.float64, device=device)
 
-    def _launch(self, kernel: wp.Kernel, *inputs, dim: int | None = None) -> None:
+    def _launch(self, kernel: wp.Kernel, *inputs: Any, dim: int | None = None) -> None:
         count = self.particle_count if dim is None else dim
         wp.launch(kernel, dim=count, inputs=list(inputs), device=self.device)
 
@@ -194,7 +197,7 @@ class ConjugateGradients:
         bodies: wp.array,
         material: wp.array,
         position: wp.array,
-        pairs,
+        pairs: Pairs,
         diagonal: wp.array,
         own_block: wp.array,
         coarse: CoarseSpace,
@@ -226,16 +229,40 @@ class ConjugateGradients:
             self._launch(turn_direction, self.z, self.direction, scalars, first)
             self._launch(shift_scalars, scalars, first, dim=1)
             self._launch(
-                press_pairs, clay, bodies, material, pairs.compression, pairs.count, pairs.other,
-                pairs.direction, pairs.slope, self.direction, self.pressure_change,
+                press_pairs,
+                clay,
+                bodies,
+                material,
+                pairs.compression,
+                pairs.count,
+                pairs.other,
+                pairs.direction,
+                pairs.slope,
+                self.direction,
+                self.pressure_change,
             )
             self._launch(
-                multiply, own_block, pairs.count, pairs.other, pairs.direction, pairs.stiffness,
-                pairs.slope, self.pressure_change, self.direction, self.product, scalars,
+                multiply,
+                own_block,
+                pairs.count,
+                pairs.other,
+                pairs.direction,
+                pairs.stiffness,
+                pairs.slope,
+                self.pressure_change,
+                self.direction,
+                self.product,
+                scalars,
             )
             self._launch(
-                advance, self.inverse, self.direction, self.product, scalars, self.change,
-                self.residual, self.z,
+                advance,
+                self.inverse,
+                self.direction,
+                self.product,
+                scalars,
+                self.change,
+                self.residual,
+                self.z,
             )
             coarse.solve(position, self.residual)
             if iteration + 1 < iterations:

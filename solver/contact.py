@@ -70,7 +70,7 @@ def add_contact(
     normal: wp.vec3,
     gap: float,
     surface_motion: wp.vec3,
-):
+) -> None:
     """Give a particle a contact, with the anchor that it had on this collider before."""
     used = slots.count[i]
     if used < MOST_CONTACTS:
@@ -95,7 +95,7 @@ def find_plane_contacts(
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
     slots: ContactSlots,
-):
+) -> None:
     """Find the planes that a particle may touch in this substep."""
     i = wp.tid()
     for plane in range(plane_point.shape[0]):
@@ -120,7 +120,7 @@ def find_mesh_contacts(
     velocity: wp.array[wp.vec3],
     clearance: wp.array2d[float],
     slots: ContactSlots,
-):
+) -> None:
     """Find the meshes that a particle may touch in this substep.
 
     ``clearance`` is a lower bound on a particle's distance to a mesh [m]: while motion cannot
@@ -173,7 +173,7 @@ def press_contacts(
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
     own_block: wp.array[wp.mat33],
-):
+) -> None:
     """Add contact impulses and their tangent to the system: the one contact law.
 
     A contact pushes with a stiffness times its penetration, tangentially with that stiffness
@@ -230,7 +230,7 @@ def settle_contacts(
     slots: ContactSlots,
     impulse: wp.array[wp.vec3d],
     deepest: wp.array[float],
-):
+) -> None:
     """Sum the impulses that the solve applied, and let anchors stretch or slide.
 
     The impulse is the linear one that the solve saw: what momentum really changed by.
@@ -267,7 +267,7 @@ def blend_vertices(
     end: wp.array[wp.vec3],
     fraction: float,
     points: wp.array[wp.vec3],
-):
+) -> None:
     """Move a deforming mesh to a fraction of its way."""
     i = wp.tid()
     points[i] = start[i] + (end[i] - start[i]) * fraction
@@ -287,9 +287,16 @@ class Contacts:
         self.particle_count = particle_count
         slots = ContactSlots()
         for name, dtype in (
-            ("collider", int), ("normal", wp.vec3), ("gap", float), ("surface_motion", wp.vec3),
-            ("anchor", wp.vec3), ("impulse", wp.vec3), ("normal_stiffness", float),
-            ("friction_stiffness", float), ("collider_before", int), ("anchor_before", wp.vec3),
+            ("collider", int),
+            ("normal", wp.vec3),
+            ("gap", float),
+            ("surface_motion", wp.vec3),
+            ("anchor", wp.vec3),
+            ("impulse", wp.vec3),
+            ("normal_stiffness", float),
+            ("friction_stiffness", float),
+            ("collider_before", int),
+            ("anchor_before", wp.vec3),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
         slots.count = wp.zeros(particle_count, dtype=int, device=device)
@@ -379,7 +386,12 @@ class MeshContacts:
             )
             self.moving.append(
                 _MovingMesh(
-                    collider, mesh, rotation, translation, vertices, orientation,
+                    collider,
+                    mesh,
+                    rotation,
+                    translation,
+                    vertices,
+                    orientation,
                     collider.shape_version,
                 )
             )
@@ -427,9 +439,7 @@ class MeshContacts:
                 row = self.clearance.numpy()
                 row[which] = 0.0
                 self.clearance.assign(row)
-            poses[which] = _way(
-                start_rotation, rotation, start_translation, translation, substeps
-            )
+            poses[which] = _way(start_rotation, rotation, start_translation, translation, substeps)
             deforms = moving.shape_version != moving.collider.shape_version and not (
                 np.allclose(start_vertices, vertices, rtol=0.0, atol=1e-9)
             )

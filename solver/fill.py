@@ -16,7 +16,7 @@ _CHUNK = 2_000_000
 @wp.kernel(enable_backward=False)
 def measure_depth(
     mesh: wp.uint64, point: wp.array[wp.vec3], farthest: float, depth: wp.array[float]
-):
+) -> None:
     """Signed distance to the mesh, positive inside [m]."""
     i = wp.tid()
     query = wp.mesh_query_point_sign_winding_number(mesh, point[i], farthest)
@@ -106,9 +106,7 @@ def _lattice(cells: NDArray[np.float64], shift: NDArray[np.int64]) -> NDArray[np
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
 
 
-def _depths(
-    mesh: wp.Mesh, lattice: NDArray[np.float64], farthest: float
-) -> NDArray[np.float32]:
+def _depths(mesh: wp.Mesh, lattice: NDArray[np.float64], farthest: float) -> NDArray[np.float32]:
     parts = []
     for start in range(0, len(lattice), _CHUNK):
         part = lattice[start : start + _CHUNK]

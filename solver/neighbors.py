@@ -29,7 +29,7 @@ def fill_rows(
     index: wp.array2d[int],
     rest_length: wp.array2d[float],
     overflow: wp.array[int],
-):
+) -> None:
     """List each particle's neighbours within reach, bonded ones first."""
     i = wp.tid()
     x = position[i]
@@ -63,7 +63,7 @@ def bond_close_pairs(
     count: wp.array[int],
     index: wp.array2d[int],
     rest_length: wp.array2d[float],
-):
+) -> None:
     """Bond every listed pair closer than the reach at its present length: no stress."""
     i = wp.tid()
     for slot in range(count[i]):
@@ -77,7 +77,7 @@ def measure_displacement(
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
     largest: wp.array[float],
-):
+) -> None:
     """Find how far any particle has moved since the rows were filled."""
     i = wp.tid()
     wp.atomic_max(largest, 0, wp.length(position[i] - listed_position[i]))

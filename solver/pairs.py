@@ -10,7 +10,7 @@ so pair forces conserve angular momentum exactly.
 import warp as wp
 
 from .bond_law import Body, Clay, PairLaw, flow_bond, kernel_slope, kernel_value
-from .neighbors import SLOTS
+from .neighbors import SLOTS, Neighbors
 
 MOST_PAIRS = 48
 """Pairs of one particle that can act at once."""
@@ -30,7 +30,7 @@ def gather_pairs(
     direction: wp.array2d[wp.vec3],
     distance: wp.array2d[float],
     overflow: wp.array[int],
-):
+) -> None:
     """Collect bonded pairs and free ones close enough to press, and count new bonds in."""
     i = wp.tid()
     x = position[i]
@@ -83,7 +83,7 @@ def measure_stretch(
     distance_next: wp.array2d[float],
     mean_stretch: wp.array[float],
     compression: wp.array[float],
-):
+) -> None:
     """Find each pair's length at the end of the substep, and each particle's state of volume."""
     i = wp.tid()
     v = velocity[i]
@@ -122,7 +122,7 @@ def sum_forces(
     slope: wp.array2d[float],
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
-):
+) -> None:
     """Impulse still missing at each particle [N s], and the tangent of the forces.
 
     ``stiffness`` and ``diagonal`` are in kg: force derivative times Δt².
@@ -177,7 +177,7 @@ def flow_pairs(
     mean_stretch: wp.array[float],
     compression: wp.array[float],
     rest_length: wp.array2d[float],
-):
+) -> None:
     """Keep what flowed: write the bonds' new rest lengths, and drop those that broke."""
     i = wp.tid()
     for e in range(count[i]):
@@ -219,14 +219,23 @@ class Pairs:
         self.compression = wp.zeros(particle_count, dtype=float, device=device)
         self.overflow = wp.zeros(1, dtype=int, device=device)
 
-    def gather(self, clay: Clay, position: wp.array, neighbors) -> None:
+    def gather(self, clay: Clay, position: wp.array, neighbors: Neighbors) -> None:
         """Collect the pairs that act from here."""
         wp.launch(
             gather_pairs,
             dim=self.particle_count,
             inputs=[
-                clay, position, neighbors.count, neighbors.index, neighbors.rest_length,
-                self.count, self.other, self.slot, self.length, self.direction, self.distance,
+                clay,
+                position,
+                neighbors.count,
+                neighbors.index,
+                neighbors.rest_length,
+                self.count,
+                self.other,
+                self.slot,
+                self.length,
+                self.direction,
+                self.distance,
                 self.overflow,
             ],
             device=self.device,
@@ -238,8 +247,16 @@ class Pairs:
             measure_stretch,
             dim=self.particle_count,
             inputs=[
-                clay, self.count, self.other, self.length, self.direction, self.distance, velocity,
-                self.distance_next, self.mean_stretch, self.compression,
+                clay,
+                self.count,
+                self.other,
+                self.length,
+                self.direction,
+                self.distance,
+                velocity,
+                self.distance_next,
+                self.mean_stretch,
+                self.compression,
             ],
             device=self.device,
         )
@@ -260,21 +277,46 @@ class Pairs:
             sum_forces,
             dim=self.particle_count,
             inputs=[
-                clay, pair_laws, bodies, material, self.count, self.other, self.length,
-                self.direction, self.distance_next, self.mean_stretch, self.compression,
-                velocity_free, velocity, self.stiffness, self.slope, residual, diagonal,
+                clay,
+                pair_laws,
+                bodies,
+                material,
+                self.count,
+                self.other,
+                self.length,
+                self.direction,
+                self.distance_next,
+                self.mean_stretch,
+                self.compression,
+                velocity_free,
+                velocity,
+                self.stiffness,
+                self.slope,
+                residual,
+                diagonal,
             ],
             device=self.device,
         )
 
-    def flow(self, clay: Clay, pair_laws: wp.array, material: wp.array, neighbors) -> None:
+    def flow(
+        self, clay: Clay, pair_laws: wp.array, material: wp.array, neighbors: Neighbors
+    ) -> None:
         """Write the rest lengths after flow; `measure` at the final velocities comes first."""
         wp.launch(
             flow_pairs,
             dim=self.particle_count,
             inputs=[
-                clay, pair_laws, material, self.count, self.other, self.slot, self.length,
-                self.distance_next, self.mean_stretch, self.compression, neighbors.rest_length,
+                clay,
+                pair_laws,
+                material,
+                self.count,
+                self.other,
+                self.slot,
+                self.length,
+                self.distance_next,
+                self.mean_stretch,
+                self.compression,
+                neighbors.rest_length,
             ],
             device=self.device,
         )

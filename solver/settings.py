@@ -33,9 +33,7 @@ class Settings:
         if not 1 <= self.substeps <= 4096:
             raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
         if not 1 <= self.iterations <= 1000:
-            raise ValueError(
-                f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000."
-            )
+            raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")
         if self.model not in MODELS:
             raise ValueError(
                 f"Settings.model is {self.model!r}; it must be one of {', '.join(MODELS)}."

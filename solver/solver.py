@@ -58,7 +58,7 @@ def fall_freely(
     velocity: wp.array[wp.vec3],
     velocity_free: wp.array[wp.vec3],
     quarantined: wp.array[int],
-):
+) -> None:
     """Predict velocities without any inner or contact force.
 
     A velocity that is not finite is taken for rest: it must not reach the others.
@@ -77,7 +77,7 @@ def move(
     position: wp.array[wp.vec3],
     quarantined: wp.array[int],
     substep: wp.array[int],
-):
+) -> None:
     """Move particles; one whose new state is not finite stays where it is, at rest."""
     i = wp.tid()
     if i == 0:
@@ -121,9 +121,7 @@ class Solver:
         ValueError: The device does not exist.
     """
 
-    def __init__(
-        self, scene: Scene, settings: Settings | None = None, device: str = "cpu"
-    ) -> None:
+    def __init__(self, scene: Scene, settings: Settings | None = None, device: str = "cpu") -> None:
         self.scene = scene
         self.settings = settings or Settings()
         try:
@@ -463,7 +461,14 @@ class Solver:
         passes.append("motion")
         held = sum(
             array.capacity
-            for part in (self, self._neighbors, self._pairs, self._gradients, self._coarse, self._meshes)
+            for part in (
+                self,
+                self._neighbors,
+                self._pairs,
+                self._gradients,
+                self._coarse,
+                self._meshes,
+            )
             if part is not None
             for array in vars(part).values()
             if isinstance(array, wp.array)

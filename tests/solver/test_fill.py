@@ -66,7 +66,7 @@ def test_filling_is_the_same_every_time_and_anywhere():
     points = fill_mesh(ball.vertices, ball.faces, 0.003)
     again = fill_mesh(ball.vertices, ball.faces, 0.003)
     np.testing.assert_array_equal(points, again)
-    moved = fill_mesh(ball.vertices + (1.0, 2.0, 3.0), ball.faces, 0.003)
+    moved = fill_mesh(ball.vertices + np.array((1.0, 2.0, 3.0)), ball.faces, 0.003)
     assert len(moved) == len(points)
 
 

@@ -15,7 +15,9 @@ def test_every_preset_reads_and_names_its_source():
     import tomllib
 
     names = Material.preset_names()
-    assert {"plasticine", "soft_play_dough", "throwing_clay", "stiff_clay", "wet_clay"} <= set(names)
+    assert {"plasticine", "soft_play_dough", "throwing_clay", "stiff_clay", "wet_clay"} <= set(
+        names
+    )
     folder = Path(__file__).resolve().parents[2] / "presets" / "materials"
     for name in names:
         assert isinstance(Material.preset(name), Material)

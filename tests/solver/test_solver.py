@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The solver as a whole: exactness, what it builds, what it refuses."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
@@ -46,7 +48,8 @@ def test_snapshot_restores_exactly_into_a_new_solver(tmp_path):
     scene, tool = pressed_scene()
     solver = Solver(scene)
     press_on(solver, tool, range(9))
-    np.savez(tmp_path / "state.npz", **solver.snapshot())
+    state: dict[str, Any] = dict(solver.snapshot())
+    np.savez(tmp_path / "state.npz", **state)
     press_on(solver, tool, range(9, 20))
 
     scene, tool = pressed_scene()
@@ -166,7 +169,9 @@ def test_colors_come_back_in_order():
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     scene = Scene(SPACING)
     scene.add_clay_mesh(box.vertices, box.faces, Material(), color=(1, 0, 0, 1))
-    scene.add_clay_mesh(box.vertices + (0.1, 0, 0), box.faces, Material(), color=(0, 0, 1, 1))
+    scene.add_clay_mesh(
+        box.vertices + np.array((0.1, 0, 0)), box.faces, Material(), color=(0, 0, 1, 1)
+    )
     colors = Solver(scene).colors()
     assert colors.shape == (128, 4)
     assert colors[0].tolist() == [1, 0, 0, 1]
