@@ -36,10 +36,10 @@ test: environment
 	@$(python) -m pytest $(workers) $(TESTS)
 
 bench: environment
-	@$(python) tests/bench/run.py --output build/bench/bench.json
+	@$(python) -m tactile_clay.tests.bench.run --output build/bench
 
 report: environment
-	@$(python) tests/experiments/report.py --output build/report
+	@$(python) -m tactile_clay.tests.experiments.report --output build/report
 
 extension: environment
 	@$(python) tools/extension.py --output dist $(if $(PLATFORMS),--platforms $(PLATFORMS))
