@@ -52,5 +52,5 @@ format: environment
 	@$(python) -m ruff format --quiet .
 
 clean:
-	rm -rf build dist wheels $(VENV) *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf build dist wheels .venv .venv-* *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
