@@ -59,8 +59,11 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
             else f"{len(item.data.points):,} particles"
         )
         column = box.column()
+        column.prop(clay, "material_preset")
+        column = box.column(align=True)
+        # Inside the sliders there is room for the units.
+        column.use_property_split = False
         for name in (
-            "material_preset",
             "density",
             "yield_stress",
             "viscosity",

@@ -63,10 +63,12 @@ def draw_missing_parts(layout: bpy.types.UILayout) -> bool:
     return bool(missing)
 
 
-def draw_text(
-    layout: bpy.types.UILayout, text: str, *, icon: str = "NONE", width: int = 38
-) -> None:
-    """Draw a text over several lines, as Blender's labels do not wrap."""
+def draw_text(layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:
+    """Draw a text over as many lines as the region's width asks for: labels do not wrap."""
+    region = bpy.context.region
+    pixels = region.width / bpy.context.preferences.system.ui_scale if region else 260
+    # A letter takes 6.6 pixels on average, the margins and the icon 70.
+    width = max(12, int((pixels - 70) / 6.6))
     column = layout.column(align=True)
     line = ""
     for word in [*text.split(), ""]:

@@ -189,6 +189,7 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         name="Cache",
         description="Folder of the bake; // is the folder of the .blend file",
         subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_cache",
     )
     use_scene_range: bpy.props.BoolProperty(
