@@ -5,7 +5,13 @@ import bpy
 import numpy as np
 
 from ..solver.closed_mesh import MeshError, check_closed_mesh
-from .mesh_geometry import evaluated_mesh, flat_plane, transform
+from .mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    flat_plane,
+    is_switched_off,
+    transform,
+)
 
 
 class ColliderError(Exception):
@@ -48,6 +54,8 @@ def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgra
         raise ColliderError(
             f"{item.name!r} is no mesh ({item.type.lower()}), so it cannot be a collider."
         )
+    if is_switched_off(item, depsgraph):
+        raise ColliderError(f"{item.name!r} {SWITCHED_OFF}")
     vertices, triangles = evaluated_mesh(item, depsgraph)
     vertices = transform(item.evaluated_get(depsgraph).matrix_world, vertices)
     flat = flat_plane(vertices) is not None

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from ..solver.closed_mesh import MeshError, check_closed_mesh, mesh_volume
 from ..solver.material import Material
 from .look import add_look
-from .mesh_geometry import evaluated_mesh, transform, turn_for
+from .mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    is_switched_off,
+    transform,
+    turn_for,
+)
 from .preferences import missing_parts
 from .properties import CUSTOM, PRESET_ITEMS
 
@@ -91,6 +97,8 @@ def _closed_meshes(
             raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
         if item.mode == "EDIT":
             raise ClayError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
+        if is_switched_off(item, depsgraph):
+            raise ClayError(f"{item.name!r} {SWITCHED_OFF}")
         vertices, triangles = evaluated_mesh(item, depsgraph)
         matrix = item.evaluated_get(depsgraph).matrix_world
         try:

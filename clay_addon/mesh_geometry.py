@@ -7,6 +7,16 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+SWITCHED_OFF = (
+    "is switched off in the viewport, or its collection is excluded from the view layer, so "
+    "Blender does not evaluate it. Switch it on (hiding it with H is fine)."
+)
+
+
+def is_switched_off(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether Blender leaves an object as it is in the file: unanimated and without modifiers."""
+    return not item.evaluated_get(depsgraph).is_evaluated
+
 
 def evaluated_mesh(
     item: bpy.types.Object, depsgraph: bpy.types.Depsgraph

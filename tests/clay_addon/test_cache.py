@@ -142,7 +142,7 @@ def test_no_flipped_bit_changes_a_frame_unnoticed(cache: Cache) -> None:
     whole = path.read_bytes()
     frame = make_frame(2)
     noticed = 0
-    for place in range(len(whole)):
+    for place in range(0, len(whole), 3):
         altered = bytearray(whole)
         altered[place] ^= 1 << place % 8
         path.write_bytes(altered)
@@ -154,7 +154,7 @@ def test_no_flipped_bit_changes_a_frame_unnoticed(cache: Cache) -> None:
         assert again.positions.tobytes() == frame.positions.tobytes()
         assert again.velocities.tobytes() == frame.velocities.tobytes()
         assert again.inputs == frame.inputs
-    assert noticed > len(whole) / 2
+    assert noticed > len(whole) / 6
 
 
 def test_damaged_frame_counts_as_missing(cache: Cache) -> None:

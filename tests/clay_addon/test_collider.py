@@ -165,6 +165,26 @@ def test_armature_deforms_the_collider(studio: Any) -> None:
     assert np.abs(world(mesh) - rest).max() > 0.01
 
 
+def test_hidden_tool_presses_and_a_switched_off_one_is_refused(studio: Any) -> None:
+    """Follow a tool hidden with H, and refuse one that Blender does not move at all."""
+    studio.clay()
+    tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
+    for frame in (1, 10):
+        tool.location.x = float(frame)
+        tool.keyframe_insert("location", frame=frame)
+    tool.hide_set(True)
+    studio.scene.frame_set(1)
+    simulation = Simulation(bpy.context)
+    (mesh,) = solver_colliders(simulation).meshes
+    assert world(mesh)[:, 0].mean() == pytest.approx(1.0)
+    studio.scene.frame_set(10)
+    simulation.feed(bpy.context.evaluated_depsgraph_get())
+    assert world(mesh)[:, 0].mean() == pytest.approx(10.0)
+    tool.hide_viewport = True
+    with pytest.raises(SimulationError, match="is switched off in the viewport"):
+        Simulation(bpy.context)
+
+
 def test_collider_that_changes_its_topology_is_refused(studio: Any) -> None:
     """Name the object, the frame and the counts."""
     studio.clay()

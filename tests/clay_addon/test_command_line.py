@@ -13,6 +13,7 @@ import trimesh
 
 from tactile_clay.clay_addon import command_line
 from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.collider import make_collider
 from tactile_clay.clay_addon.command_line import main, main_in_blender
 
 
@@ -91,6 +92,27 @@ def test_export_of_a_damaged_frame_is_refused(
     assert not output.exists()
     assert main(["export", str(blend), "--output", str(tmp_path / "shape.doc")]) == 1
     assert "Use one of .stl, .obj, .ply, .glb" in capfd.readouterr().err
+
+
+def test_scene_option_bakes_another_scene(studio: Any, tmp_path: Path) -> None:
+    """Bake the scene that is named, with its own clay and colliders, not the active one."""
+    studio.falling_block(tmp_path)
+    first = studio.scene
+    bpy.ops.scene.new(type="EMPTY")
+    studio.scene.name = "Other"
+    studio.clay("Lump", size=0.02)
+    tool = make_collider(studio.block(size=0.02, location=(0.5, 0.0, 0.0)))
+    for frame in (1, 3):
+        tool.location.x = 0.5 * frame
+        tool.keyframe_insert("location", frame=frame)
+    bpy.context.window.scene = first
+    path = studio.save(tmp_path)
+    options = ["--scene", "Other", "--cache", str(tmp_path / "other"), "--frames", "1-3"]
+    assert main(["bake", str(path), *options]) == 0
+    meta = Cache(tmp_path / "other").meta()
+    assert [(part.name, part.count) for part in meta.clay] == [("Lump", 8)]
+    frames = Cache(tmp_path / "other").whole_frames(1, 3)
+    assert len({frame.inputs for frame in frames.values()}) == 3
 
 
 def test_info_of_an_unbaked_file(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
