@@ -12,7 +12,7 @@ so momentum is kept and a block at rest weighs exactly what it should.
 import numpy as np
 import warp as wp
 
-from .pairs import Pairs
+from .pairs import PairRows, Pairs, pair_direction
 
 CELL = 8.0
 """Edge of a cell, in spacings."""
@@ -50,10 +50,7 @@ def assemble(
     center: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
     own_block: wp.array[wp.mat33],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    direction: wp.array2d[wp.vec3],
-    stiffness: wp.array2d[float],
+    pairs: PairRows,
     matrix: wp.array2d[float],
 ) -> None:
     """Sum P^T A P: mass and contacts of each particle, and bonds that join two cells."""
@@ -69,15 +66,17 @@ def assemble(
             wp.where(axis == 2, 1.0, 0.0),
         )
         add_block(matrix, own, own, rigid_row(arm, unit), rigid_row(arm, block * unit), 1.0)
-    for e in range(count[i]):
-        j = other[i, e]
+    for e in range(pairs.count[i]):
+        j = pairs.other[i, e]
         theirs = cell[j]
         if theirs != own:
             # Both ends keep the pair: each adds its own row of blocks.
-            n = direction[i, e]
+            n = pair_direction(pairs, i, e)
             mine = rigid_row(arm, n)
-            add_block(matrix, own, own, mine, mine, stiffness[i, e])
-            add_block(matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -stiffness[i, e])
+            add_block(matrix, own, own, mine, mine, pairs.stiffness[i, e])
+            add_block(
+                matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -pairs.stiffness[i, e]
+            )
 
 
 @wp.kernel(enable_backward=False)
@@ -183,10 +182,7 @@ class CoarseSpace:
                 self.center,
                 position,
                 own_block,
-                pairs.count,
-                pairs.other,
-                pairs.direction,
-                pairs.stiffness,
+                pairs.rows,
                 self.matrix,
             ],
             device=self.device,

@@ -5,7 +5,7 @@ from typing import Any
 
 import warp as wp
 
-from .bond_law import Body, Clay
+from .bond_law import Clay
 from .coarse_space import CoarseSpace, prolong
 from .pairs import Pairs
 
@@ -78,54 +78,12 @@ def shift_scalars(scalars: wp.array[wp.float64], first: int) -> None:
 
 
 @wp.kernel(enable_backward=False)
-def press_pairs(
-    clay: Clay,
-    bodies: wp.array[Body],
-    material: wp.array[int],
-    compression: wp.array[float],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    pair_direction: wp.array2d[wp.vec3],
-    slope: wp.array2d[float],
-    direction: wp.array[wp.vec3],
-    pressure_change: wp.array[float],
+def sum_curvature(
+    direction: wp.array[wp.vec3], product: wp.array[wp.vec3], scalars: wp.array[wp.float64]
 ) -> None:
-    """How a motion changes the pressure of compressed particles."""
+    """Sum the direction's energy."""
     i = wp.tid()
-    total = float(0.0)
-    if compression[i] > 0.0:
-        p = direction[i]
-        for e in range(count[i]):
-            total += slope[i, e] * wp.dot(pair_direction[i, e], p - direction[other[i, e]])
-    dt = clay.time_step
-    pressure_change[i] = total * bodies[material[i]].pressure_stiffness * dt * dt
-
-
-@wp.kernel(enable_backward=False)
-def multiply(
-    own_block: wp.array[wp.mat33],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    pair_direction: wp.array2d[wp.vec3],
-    stiffness: wp.array2d[float],
-    slope: wp.array2d[float],
-    pressure_change: wp.array[float],
-    direction: wp.array[wp.vec3],
-    product: wp.array[wp.vec3],
-    scalars: wp.array[wp.float64],
-) -> None:
-    """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
-    i = wp.tid()
-    p = direction[i]
-    total = own_block[i] * p
-    own = pressure_change[i]
-    for e in range(count[i]):
-        j = other[i, e]
-        n = pair_direction[i, e]
-        closing = wp.dot(n, p - direction[j])
-        total += n * (stiffness[i, e] * closing + slope[i, e] * (own + pressure_change[j]))
-    product[i] = total
-    wp.atomic_add(scalars, _CURVATURE, wp.float64(wp.dot(total, p)))
+    wp.atomic_add(scalars, _CURVATURE, wp.float64(wp.dot(product[i], direction[i])))
 
 
 @wp.kernel(enable_backward=False)
@@ -228,32 +186,16 @@ class ConjugateGradients:
             first = int(iteration == 0)
             self._launch(turn_direction, self.z, self.direction, scalars, first)
             self._launch(shift_scalars, scalars, first, dim=1)
-            self._launch(
-                press_pairs,
+            pairs.multiply(
                 clay,
                 bodies,
                 material,
-                pairs.compression,
-                pairs.count,
-                pairs.other,
-                pairs.direction,
-                pairs.slope,
-                self.direction,
-                self.pressure_change,
-            )
-            self._launch(
-                multiply,
                 own_block,
-                pairs.count,
-                pairs.other,
-                pairs.direction,
-                pairs.stiffness,
-                pairs.slope,
-                self.pressure_change,
                 self.direction,
+                self.pressure_change,
                 self.product,
-                scalars,
             )
+            self._launch(sum_curvature, self.direction, self.product, scalars)
             self._launch(
                 advance,
                 self.inverse,

@@ -7,13 +7,49 @@ bit for bit. A pair's direction is that at the start of the substep, its length 
 so pair forces conserve angular momentum exactly.
 """
 
+from typing import Any
+
 import warp as wp
 
 from .bond_law import Body, Clay, PairLaw, flow_bond, kernel_slope, kernel_value
-from .neighbors import SLOTS, Neighbors
+from .neighbors import Neighbors
 
 MOST_PAIRS = 48
 """Pairs of one particle that can act at once."""
+
+
+@wp.struct
+class PairRows:
+    """The acting pairs of all particles, a row of `MOST_PAIRS` for each."""
+
+    count: wp.array[int]
+    other: wp.array2d[int]
+    slot: wp.array2d[int]
+    """Where the pair's rest length is kept among the neighbours."""
+    length: wp.array2d[float]
+    """Rest length at the start of the substep [m], 0 for a free pair."""
+    direction_x: wp.array2d[float]
+    direction_y: wp.array2d[float]
+    direction_z: wp.array2d[float]
+    """Towards the other, at the start of the substep; kept by axis for vector units."""
+    distance: wp.array2d[float]
+    """At the start of the substep [m]."""
+    distance_next: wp.array2d[float]
+    """At its end [m]."""
+    stiffness: wp.array2d[float]
+    """Tangent of the bond [kg]: force derivative times Δt²."""
+    slope: wp.array2d[float]
+    """How fast the pair's share of the density falls with distance [1/m]."""
+    mean_stretch: wp.array[float]
+    """Mean stretch of a particle's bonds [m]."""
+    compression: wp.array[float]
+    """Density over that at rest, less one, where positive."""
+
+
+@wp.func
+def pair_direction(pairs: PairRows, i: int, e: int) -> wp.vec3:
+    """Unit vector from a particle to the other end of a pair."""
+    return wp.vec3(pairs.direction_x[i, e], pairs.direction_y[i, e], pairs.direction_z[i, e])
 
 
 @wp.kernel(enable_backward=False)
@@ -23,18 +59,14 @@ def gather_pairs(
     neighbor_count: wp.array[int],
     neighbor_index: wp.array2d[int],
     rest_length: wp.array2d[float],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    slot: wp.array2d[int],
-    length: wp.array2d[float],
-    direction: wp.array2d[wp.vec3],
-    distance: wp.array2d[float],
+    pairs: PairRows,
     overflow: wp.array[int],
 ) -> None:
     """Collect bonded pairs and free ones close enough to press, and count new bonds in."""
     i = wp.tid()
     x = position[i]
     used = int(0)
+    floor = 1.0e-6 * clay.spacing
     for s in range(neighbor_count[i]):
         j = neighbor_index[i, s]
         offset = position[j] - x
@@ -53,54 +85,46 @@ def gather_pairs(
             rest_length[i, s] = rest
         if rest != 0.0:
             if used < MOST_PAIRS:
-                other[i, used] = j
-                slot[i, used] = s
-                length[i, used] = wp.max(rest, 0.0)
-                floor = 1.0e-6 * clay.spacing
-                if apart > floor:
-                    direction[i, used] = offset / apart
-                else:
+                direction = offset / wp.max(apart, floor)
+                if apart <= floor:
                     # Coincident particles part along a direction that both ends agree on.
                     seed = wp.rand_init(wp.min(i, j), wp.max(i, j))
-                    away = wp.sample_unit_sphere_surface(seed)
-                    direction[i, used] = wp.where(i < j, away, -away)
-                distance[i, used] = wp.max(apart, floor)
+                    direction = wp.sample_unit_sphere_surface(seed)
+                    if i > j:
+                        direction = -direction
+                pairs.other[i, used] = j
+                pairs.slot[i, used] = s
+                pairs.length[i, used] = wp.max(rest, 0.0)
+                pairs.direction_x[i, used] = direction[0]
+                pairs.direction_y[i, used] = direction[1]
+                pairs.direction_z[i, used] = direction[2]
+                pairs.distance[i, used] = wp.max(apart, floor)
                 used += 1
             else:
                 wp.atomic_add(overflow, 0, 1)
-    count[i] = used
+    pairs.count[i] = used
 
 
 @wp.kernel(enable_backward=False)
-def measure_stretch(
-    clay: Clay,
-    count: wp.array[int],
-    other: wp.array2d[int],
-    length: wp.array2d[float],
-    direction: wp.array2d[wp.vec3],
-    distance: wp.array2d[float],
-    velocity: wp.array[wp.vec3],
-    distance_next: wp.array2d[float],
-    mean_stretch: wp.array[float],
-    compression: wp.array[float],
-) -> None:
+def measure_pairs(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
     """Find each pair's length at the end of the substep, and each particle's state of volume."""
     i = wp.tid()
     v = velocity[i]
     density = clay.inverse_rest_sum
     stretch = float(0.0)
     bonds = float(0.0)
-    for e in range(count[i]):
-        way = direction[i, e] * distance[i, e] + (velocity[other[i, e]] - v) * clay.time_step
+    for e in range(pairs.count[i]):
+        closing = velocity[pairs.other[i, e]] - v
+        way = pair_direction(pairs, i, e) * pairs.distance[i, e] + closing * clay.time_step
         apart = wp.length(way)
-        distance_next[i, e] = apart
+        pairs.distance_next[i, e] = apart
         density += kernel_value(clay, apart)
-        rest = length[i, e]
+        rest = pairs.length[i, e]
         if rest > 0.0:
             stretch += apart - rest
             bonds += 1.0
-    mean_stretch[i] = stretch / wp.max(bonds, 1.0)
-    compression[i] = wp.max(density - 1.0, 0.0)
+    pairs.mean_stretch[i] = stretch / wp.max(bonds, 1.0)
+    pairs.compression[i] = wp.max(density - 1.0, 0.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -109,56 +133,48 @@ def sum_forces(
     pair_laws: wp.array[PairLaw],
     bodies: wp.array[Body],
     material: wp.array[int],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    length: wp.array2d[float],
-    direction: wp.array2d[wp.vec3],
-    distance_next: wp.array2d[float],
-    mean_stretch: wp.array[float],
-    compression: wp.array[float],
     velocity_free: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
-    stiffness: wp.array2d[float],
-    slope: wp.array2d[float],
+    pairs: PairRows,
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
 ) -> None:
-    """Impulse still missing at each particle [N s], and the tangent of the forces.
-
-    ``stiffness`` and ``diagonal`` are in kg: force derivative times Δt².
-    """
+    """Impulse still missing at each particle [N s], and the tangent of the forces [kg]."""
     i = wp.tid()
     dt = clay.time_step
     own = material[i]
     body = bodies[own]
-    pressure = body.pressure_stiffness * compression[i]
+    compression = pairs.compression[i]
+    mean_stretch = pairs.mean_stretch[i]
+    pressure = body.pressure_stiffness * compression
     force = wp.vec3()
     slope_sum = wp.vec3()
     block = wp.identity(n=3, dtype=float) * body.mass
-    for e in range(count[i]):
-        j = other[i, e]
-        apart = distance_next[i, e]
-        n = direction[i, e]
+    for e in range(pairs.count[i]):
+        j = pairs.other[i, e]
+        apart = pairs.distance_next[i, e]
+        n = pair_direction(pairs, i, e)
         a = kernel_slope(clay, apart)
-        theirs = bodies[material[j]].pressure_stiffness
-        pull = -(pressure + theirs * compression[j]) * a
+        other_compression = pairs.compression[j]
+        other_stiffness = bodies[material[j]].pressure_stiffness
+        pull = -(pressure + other_stiffness * other_compression) * a
         k = float(0.0)
-        rest = length[i, e]
+        rest = pairs.length[i, e]
         if rest > 0.0:
             law = pair_laws[own * clay.material_count + material[j]]
-            pressed = compression[i] + compression[j] > 0.0
-            bond = flow_bond(clay, law, rest, apart, mean_stretch[i] + mean_stretch[j], pressed)
+            pressed = compression + other_compression > 0.0
+            bond = flow_bond(clay, law, rest, apart, mean_stretch + pairs.mean_stretch[j], pressed)
             pull += law.stiffness * (apart - bond.rest_length)
             k = law.stiffness * bond.softening * dt * dt
         force += n * pull
-        stiffness[i, e] = k
-        slope[i, e] = a
+        pairs.stiffness[i, e] = k
+        pairs.slope[i, e] = a
         slope_sum += n * a
         w = k
-        if compression[j] > 0.0:
-            w += theirs * dt * dt * a * a
+        if other_compression > 0.0:
+            w += other_stiffness * dt * dt * a * a
         block += wp.outer(n, n) * w
-    if compression[i] > 0.0:
+    if compression > 0.0:
         block += wp.outer(slope_sum, slope_sum) * (body.pressure_stiffness * dt * dt)
     residual[i] = (velocity_free[i] - velocity[i]) * body.mass + force * dt
     diagonal[i] = block
@@ -169,33 +185,70 @@ def flow_pairs(
     clay: Clay,
     pair_laws: wp.array[PairLaw],
     material: wp.array[int],
-    count: wp.array[int],
-    other: wp.array2d[int],
-    slot: wp.array2d[int],
-    length: wp.array2d[float],
-    distance_next: wp.array2d[float],
-    mean_stretch: wp.array[float],
-    compression: wp.array[float],
+    pairs: PairRows,
     rest_length: wp.array2d[float],
 ) -> None:
     """Keep what flowed: write the bonds' new rest lengths, and drop those that broke."""
     i = wp.tid()
-    for e in range(count[i]):
-        rest = length[i, e]
+    for e in range(pairs.count[i]):
+        rest = pairs.length[i, e]
         if rest > 0.0:
-            j = other[i, e]
+            j = pairs.other[i, e]
             law = pair_laws[material[i] * clay.material_count + material[j]]
-            pressed = compression[i] + compression[j] > 0.0
-            apart = distance_next[i, e]
-            bond = flow_bond(clay, law, rest, apart, mean_stretch[i] + mean_stretch[j], pressed)
-            rest = bond.rest_length
+            pressed = pairs.compression[i] + pairs.compression[j] > 0.0
+            stretch = pairs.mean_stretch[i] + pairs.mean_stretch[j]
+            apart = pairs.distance_next[i, e]
+            rest = flow_bond(clay, law, rest, apart, stretch, pressed).rest_length
             if wp.max(apart, rest) > clay.break_length:
                 rest = 0.0
-            rest_length[i, slot[i, e]] = rest
+            rest_length[i, pairs.slot[i, e]] = rest
+
+
+@wp.kernel(enable_backward=False)
+def press_pairs(
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    time_step: float,
+    pairs: PairRows,
+    direction: wp.array[wp.vec3],
+    pressure_change: wp.array[float],
+) -> None:
+    """How a motion changes the pressure of compressed particles [kg m]."""
+    i = wp.tid()
+    total = float(0.0)
+    if pairs.compression[i] > 0.0:
+        p = direction[i]
+        for e in range(pairs.count[i]):
+            closing = wp.dot(pair_direction(pairs, i, e), p - direction[pairs.other[i, e]])
+            total += pairs.slope[i, e] * closing
+    scale = bodies[material[i]].pressure_stiffness * time_step * time_step
+    pressure_change[i] = total * scale
+
+
+@wp.kernel(enable_backward=False)
+def multiply_pairs(
+    pairs: PairRows,
+    own_block: wp.array[wp.mat33],
+    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec3],
+    product: wp.array[wp.vec3],
+) -> None:
+    """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
+    i = wp.tid()
+    p = direction[i]
+    total = own_block[i] * p
+    own = pressure_change[i]
+    for e in range(pairs.count[i]):
+        j = pairs.other[i, e]
+        n = pair_direction(pairs, i, e)
+        closing = wp.dot(n, p - direction[j])
+        pull = pairs.stiffness[i, e] * closing + pairs.slope[i, e] * (own + pressure_change[j])
+        total += n * pull
+    product[i] = total
 
 
 class Pairs:
-    """Arrays of the acting pairs.
+    """The acting pairs and the passes over them.
 
     Args:
         particle_count: Number of particles.
@@ -203,63 +256,55 @@ class Pairs:
     """
 
     def __init__(self, particle_count: int, device: wp.Device) -> None:
-        rows = (particle_count, min(MOST_PAIRS, SLOTS))
         self.device = device
         self.particle_count = particle_count
-        self.count = wp.zeros(particle_count, dtype=int, device=device)
-        self.other = wp.zeros(rows, dtype=int, device=device)
-        self.slot = wp.zeros(rows, dtype=int, device=device)
-        self.length = wp.zeros(rows, dtype=float, device=device)
-        self.direction = wp.zeros(rows, dtype=wp.vec3, device=device)
-        self.distance = wp.zeros(rows, dtype=float, device=device)
-        self.distance_next = wp.zeros(rows, dtype=float, device=device)
-        self.stiffness = wp.zeros(rows, dtype=float, device=device)
-        self.slope = wp.zeros(rows, dtype=float, device=device)
-        self.mean_stretch = wp.zeros(particle_count, dtype=float, device=device)
-        self.compression = wp.zeros(particle_count, dtype=float, device=device)
+        rows = PairRows()
+        shape = (particle_count, MOST_PAIRS)
+        for name in ("other", "slot"):
+            setattr(rows, name, wp.zeros(shape, dtype=int, device=device))
+        for name in (
+            "length",
+            "direction_x",
+            "direction_y",
+            "direction_z",
+            "distance",
+            "distance_next",
+            "stiffness",
+            "slope",
+        ):
+            setattr(rows, name, wp.zeros(shape, dtype=float, device=device))
+        rows.count = wp.zeros(particle_count, dtype=int, device=device)
+        rows.mean_stretch = wp.zeros(particle_count, dtype=float, device=device)
+        rows.compression = wp.zeros(particle_count, dtype=float, device=device)
+        self.rows = rows
         self.overflow = wp.zeros(1, dtype=int, device=device)
+        self._measure, self._press, self._multiply = measure_pairs, press_pairs, multiply_pairs
+        if device.is_cpu:
+            from . import pair_rows_cpu
+
+            self._measure = pair_rows_cpu.measure_pairs
+            self._press = pair_rows_cpu.press_pairs
+            self._multiply = pair_rows_cpu.multiply_pairs
+
+    def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        wp.launch(kernel, dim=self.particle_count, inputs=list(inputs), device=self.device)
 
     def gather(self, clay: Clay, position: wp.array, neighbors: Neighbors) -> None:
         """Collect the pairs that act from here."""
-        wp.launch(
+        self._launch(
             gather_pairs,
-            dim=self.particle_count,
-            inputs=[
-                clay,
-                position,
-                neighbors.count,
-                neighbors.index,
-                neighbors.rest_length,
-                self.count,
-                self.other,
-                self.slot,
-                self.length,
-                self.direction,
-                self.distance,
-                self.overflow,
-            ],
-            device=self.device,
+            clay,
+            position,
+            neighbors.count,
+            neighbors.index,
+            neighbors.rest_length,
+            self.rows,
+            self.overflow,
         )
 
     def measure(self, clay: Clay, velocity: wp.array) -> None:
         """Find lengths and volumes at the end of a substep with these velocities."""
-        wp.launch(
-            measure_stretch,
-            dim=self.particle_count,
-            inputs=[
-                clay,
-                self.count,
-                self.other,
-                self.length,
-                self.direction,
-                self.distance,
-                velocity,
-                self.distance_next,
-                self.mean_stretch,
-                self.compression,
-            ],
-            device=self.device,
-        )
+        self._launch(self._measure, clay, velocity, self.rows)
 
     def sum_forces(
         self,
@@ -273,50 +318,38 @@ class Pairs:
         diagonal: wp.array,
     ) -> None:
         """Residual impulse and tangent at these velocities; `measure` comes first."""
-        wp.launch(
+        self._launch(
             sum_forces,
-            dim=self.particle_count,
-            inputs=[
-                clay,
-                pair_laws,
-                bodies,
-                material,
-                self.count,
-                self.other,
-                self.length,
-                self.direction,
-                self.distance_next,
-                self.mean_stretch,
-                self.compression,
-                velocity_free,
-                velocity,
-                self.stiffness,
-                self.slope,
-                residual,
-                diagonal,
-            ],
-            device=self.device,
+            clay,
+            pair_laws,
+            bodies,
+            material,
+            velocity_free,
+            velocity,
+            self.rows,
+            residual,
+            diagonal,
         )
+
+    def multiply(
+        self,
+        clay: Clay,
+        bodies: wp.array,
+        material: wp.array,
+        own_block: wp.array,
+        direction: wp.array,
+        pressure_change: wp.array,
+        product: wp.array,
+    ) -> None:
+        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first."""
+        time_step = clay.time_step
+        self._launch(
+            self._press, bodies, material, time_step, self.rows, direction, pressure_change
+        )
+        self._launch(self._multiply, self.rows, own_block, pressure_change, direction, product)
 
     def flow(
         self, clay: Clay, pair_laws: wp.array, material: wp.array, neighbors: Neighbors
     ) -> None:
         """Write the rest lengths after flow; `measure` at the final velocities comes first."""
-        wp.launch(
-            flow_pairs,
-            dim=self.particle_count,
-            inputs=[
-                clay,
-                pair_laws,
-                material,
-                self.count,
-                self.other,
-                self.slot,
-                self.length,
-                self.distance_next,
-                self.mean_stretch,
-                self.compression,
-                neighbors.rest_length,
-            ],
-            device=self.device,
-        )
+        self._launch(flow_pairs, clay, pair_laws, material, self.rows, neighbors.rest_length)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from .bond_law import (
     BOND_REACH,
-    BREAK_LENGTH,
-    KERNEL_RADIUS,
+    FORM_REACH,
     Body,
     Clay,
     PairLaw,
@@ -40,7 +39,7 @@ from .settings import Settings
 
 BASE_STEP = 1.0 / 60.0
 """The step that `Settings.substeps` divides [s]."""
-SKIN = 0.3
+SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
@@ -152,7 +151,8 @@ class Solver:
         self._bodies = wp.array(
             make_bodies(self._materials, scene.spacing), dtype=Body, device=self.device
         )
-        reach = max(KERNEL_RADIUS, BREAK_LENGTH) * scene.spacing
+        # Bonds stay listed however long they are; only those still to form must be found.
+        reach = FORM_REACH * scene.spacing
         self._neighbors = Neighbors(count, reach, SKIN * scene.spacing, self.device)
         self._pairs = Pairs(count, self.device)
         self._gradients = ConjugateGradients(count, self.device)
@@ -435,7 +435,7 @@ class Solver:
         compression = 0.0
         speed = 0.0
         if count:
-            compression = float(self._pairs.compression.numpy().mean())
+            compression = float(self._pairs.rows.compression.numpy().mean())
             speed = float(np.linalg.norm(self._velocity.numpy(), axis=1).max())
         return Diagnostics(
             time=self.time,
@@ -491,7 +491,7 @@ class Solver:
             "time": np.array(self.time),
             "position": self.positions(),
             "velocity": self.velocities(),
-            "compression": self._pairs.compression.numpy().copy(),
+            "compression": self._pairs.rows.compression.numpy().copy(),
             "time_step_before": np.array(self._time_step_before),
             "counts": np.array(
                 [
@@ -526,7 +526,7 @@ class Solver:
         self.time = float(snapshot["time"])
         self._position.assign(snapshot["position"])
         self._velocity.assign(snapshot["velocity"])
-        self._pairs.compression.assign(snapshot["compression"])
+        self._pairs.rows.compression.assign(snapshot["compression"])
         self._time_step_before = float(snapshot["time_step_before"])
         overflow, quarantined, self._teleported = (int(n) for n in snapshot["counts"])
         self._pairs.overflow.fill_(overflow)

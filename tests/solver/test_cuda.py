@@ -9,7 +9,9 @@ import warp as wp
 
 SOLVER = Path(__file__).resolve().parents[2] / "solver"
 WITH_KERNELS = sorted(
-    path.stem for path in SOLVER.glob("*.py") if "@wp.kernel" in path.read_text(encoding="utf-8")
+    path.stem
+    for path in SOLVER.glob("*.py")
+    if "@wp.kernel" in path.read_text(encoding="utf-8") and not path.stem.endswith("_cpu")
 )
 
 
