@@ -47,8 +47,12 @@ def evaluated_mesh(
 
 def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float64]:
     """Points moved by a 4×4 matrix, shape [N, 3]."""
-    affine = np.asarray(matrix, np.float64)
-    return np.asarray(points, np.float64) @ affine[:3, :3].T + affine[:3, 3]
+    # By columns: numpy's product of a long array with a 3×3 matrix takes twenty times as long.
+    x, y, z = np.ascontiguousarray(np.asarray(points).T, np.float64)
+    moved = np.empty((len(x), 3))
+    for axis, (along_x, along_y, along_z, offset) in enumerate(np.asarray(matrix, np.float64)[:3]):
+        moved[:, axis] = x * along_x + y * along_y + z * along_z + offset
+    return moved
 
 
 def turn_for(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
