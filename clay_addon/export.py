@@ -3,15 +3,16 @@
 
 Axes are those of Blender's own exporters: STL and PLY keep Z up, OBJ and GLB turn it to Y up. A
 file's unit is the metre, or the millimetre where asked for, as slicers read STL. Colours are linear
-in Blender and in GLB, and sRGB in OBJ and PLY; STL has none.
+in Blender and in GLB, and sRGB in OBJ and PLY, 8 bits a channel; STL has none. The formats
+themselves are written by the trimesh library.
 """
 
 from __future__ import annotations
 
 import errno
-import json
+import importlib.util
+import math
 import os
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -47,13 +48,16 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
 
     Raises:
         ExportError: if the suffix or unit is unknown, the folder cannot be written to, the disk is
-            full, or the clay is so far from the origin that single precision cannot hold it.
+            full, trimesh is missing, or the clay is so far from the origin that single precision
+            cannot hold it.
     """
     path = check_target(path, unit=unit)
     suffix = path.suffix.lower()
-    vertices = surface.vertices * UNITS[unit]
+    vertices, normals = surface.vertices * UNITS[unit], surface.normals
+    # glTF allows no zero normals.
+    normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     if suffix in (".obj", ".glb"):
-        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
+        vertices, normals = _y_up(vertices), _y_up(normals)
     single = vertices.astype(np.float32)
     corners = single[surface.faces]
     if not np.isfinite(single).all() or (corners == np.roll(corners, 1, axis=1)).all(2).any():
@@ -61,8 +65,7 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
             "The clay is too small for how far it lies from the world's origin: a file of single"
             " precision cannot hold its shape. Move it closer to the origin."
         )
-    writers = {".stl": _stl, ".obj": _obj, ".ply": _ply, ".glb": _glb}
-    _write_whole(path, writers[suffix](single, surface.faces, surface.colors))
+    _write_whole(path, _encode(suffix, single, surface.faces, normals, surface.colors))
     return path
 
 
@@ -70,7 +73,8 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
     """Check that a mesh can be written to a path, before any work is done.
 
     Raises:
-        ExportError: if the suffix or unit is unknown, or the folder is not there.
+        ExportError: if the suffix or unit is unknown, the folder is not there, or trimesh is
+            missing.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -87,6 +91,11 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
         raise ExportError(f"The folder {path.parent} does not exist. Make it first.")
     if path.is_dir():
         raise ExportError(f"{path} is a folder. Give the name of a file.")
+    if importlib.util.find_spec("trimesh") is None:
+        raise ExportError(
+            "The package trimesh is missing, so no file can be written. Install the extension from"
+            " the zip for this platform."
+        )
     return path
 
 
@@ -216,136 +225,52 @@ def _joined(surfaces: list[Surface]) -> Surface:
     )
 
 
-Colors = NDArray[np.float32] | None
+def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
 
 
-def _stl(vertices: NDArray[np.float32], faces: NDArray[np.int64], colors: Colors) -> bytes:
-    """Return a binary STL file."""
-    corners = vertices[faces]
-    records = np.zeros(
-        len(faces), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("tag", "<u2")])
+def _encode(
+    suffix: str,
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.int64],
+    normals: NDArray[np.float64],
+    colors: NDArray[np.float32] | None,
+) -> bytes:
+    """Return the content of a file."""
+    import trimesh
+
+    # Given normals keep trimesh from making its own, which without scipy, as in Blender, takes time
+    # that grows with the square of the size.
+    mesh = trimesh.Trimesh(
+        vertices, faces, vertex_normals=normals, process=False, metadata={"name": "Clay"}
     )
-    records["normal"] = _unit(_area_vectors(vertices, faces))
-    records["corners"] = corners
-    header = b"Tactile Clay".ljust(80, b" ")
-    return header + struct.pack("<I", len(faces)) + records.tobytes()
-
-
-def _obj(vertices: NDArray[np.float32], faces: NDArray[np.int64], colors: Colors) -> bytes:
-    """Return an OBJ file; colours follow the coordinates, as most programs read them."""
-    lines = ["# Tactile Clay", "o Clay"]
-    if colors is None:
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-    else:
-        both = np.concatenate([vertices, _srgb(colors[:, :3])], axis=1).tolist()
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4f} {g:.4f} {b:.4f}" for x, y, z, r, g, b in both]
-    lines += ["s 1"]
-    lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
-    return ("\n".join(lines) + "\n").encode("ascii")
-
-
-def _ply(vertices: NDArray[np.float32], faces: NDArray[np.int64], colors: Colors) -> bytes:
-    """Return a binary PLY file."""
-    fields: list[Any] = [("position", "<f4", 3)]
-    header = ["ply", "format binary_little_endian 1.0", "comment Tactile Clay"]
-    header += [f"element vertex {len(vertices)}", *(f"property float {axis}" for axis in "xyz")]
-    if colors is not None:
-        fields.append(("color", "u1", 4))
-        header += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
-    points = np.zeros(len(vertices), np.dtype(fields))
-    points["position"] = vertices
-    if colors is not None:
-        points["color"][:, :3] = np.rint(_srgb(colors[:, :3]) * 255)
-        points["color"][:, 3] = np.rint(np.clip(colors[:, 3], 0, 1) * 255)
-    polygons = np.zeros(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
-    polygons["count"] = 3
-    polygons["corners"] = faces
-    return ("\n".join(header) + "\n").encode("ascii") + points.tobytes() + polygons.tobytes()
-
-
-def _glb(vertices: NDArray[np.float32], faces: NDArray[np.int64], colors: Colors) -> bytes:
-    """Return a binary glTF 2.0 file with normals, without which viewers show facets."""
-    normals = np.zeros((len(vertices), 3))
-    area_vectors = _area_vectors(vertices, faces)
-    for axis in range(3):
-        normals[:, axis] = np.bincount(
-            faces.ravel(), np.repeat(area_vectors[:, axis], 3), minlength=len(vertices)
+    if suffix == ".stl":
+        return mesh.export(file_type="stl")
+    if suffix == ".glb":
+        # Without a material glTF's default shows, which is metal.
+        material = trimesh.visual.material.PBRMaterial(
+            name="Clay", metallicFactor=0.0, roughnessFactor=0.6
         )
-    arrays: list[tuple[str, NDArray[Any], str, int]] = [
-        ("POSITION", vertices.astype("<f4"), "VEC3", 5126),
-        ("NORMAL", _unit(normals).astype("<f4"), "VEC3", 5126),
-    ]
+        mesh.visual = trimesh.visual.TextureVisuals(material=material)
+        if colors is not None:
+            mesh.visual.vertex_attributes["color"] = _eight_bits(colors)
+        return mesh.export(file_type="glb", include_normals=True)
     if colors is not None:
-        arrays.append(("COLOR_0", np.clip(colors, 0, 1).astype("<f4"), "VEC4", 5126))
-    arrays.append(("", faces.astype("<u4").ravel(), "SCALAR", 5125))
-    blob = b"".join(array.tobytes() for _, array, _, _ in arrays)
-    views, accessors, start = [], [], 0
-    for name, array, kind, component in arrays:
-        views.append(
-            {
-                "buffer": 0,
-                "byteOffset": start,
-                "byteLength": array.nbytes,
-                "target": 34962 if name else 34963,
-            }
-        )
-        accessors.append(
-            {
-                "bufferView": len(views) - 1,
-                "componentType": component,
-                "count": len(array),
-                "type": kind,
-            }
-        )
-        start += array.nbytes
-    accessors[0]["min"] = vertices.min(axis=0).tolist()
-    accessors[0]["max"] = vertices.max(axis=0).tolist()
-    primitive = {
-        "attributes": {name: number for number, (name, *_) in enumerate(arrays) if name},
-        "indices": len(arrays) - 1,
-        "material": 0,
-    }
-    surface = {"metallicFactor": 0.0, "roughnessFactor": 0.6}
-    scene = {
-        "asset": {"version": "2.0", "generator": "Tactile Clay"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "Clay"}],
-        "meshes": [{"name": "Clay", "primitives": [primitive]}],
-        "materials": [{"name": "Clay", "pbrMetallicRoughness": surface}],
-        "buffers": [{"byteLength": len(blob)}],
-        "bufferViews": views,
-        "accessors": accessors,
-    }
-    text = json.dumps(scene, separators=(",", ":")).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(blob)
-    return (
-        struct.pack("<4sII", b"glTF", 2, length)
-        + struct.pack("<I4s", len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(blob), b"BIN\0")
-        + blob
+        encoded = colors.copy()
+        encoded[:, :3] = trimesh.visual.color.linear_to_srgb(colors[:, :3])
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_eight_bits(encoded))
+    if suffix == ".ply":
+        return mesh.export(file_type="ply", vertex_normal=False)
+    # An OBJ file of trimesh has a fixed number of decimals. Nine digits hold single precision.
+    decimals = max(6, 8 - math.floor(math.log10(np.abs(vertices).max())))
+    text: str = mesh.export(
+        file_type="obj", include_normals=True, digits=decimals, header="Tactile Clay"
     )
+    return text.encode("ascii")
 
 
-def _area_vectors(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> NDArray[np.float64]:
-    a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
-    areas: NDArray[np.float64] = np.cross(b - a, c - a)
-    return areas
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Scale to length 1; what has no direction points up, as glTF allows no zero normals."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.where(length > 0, vectors / np.where(length > 0, length, 1), [0.0, 0.0, 1.0])
-
-
-def _srgb(linear: NDArray[np.float32]) -> NDArray[np.float32]:
-    value = np.clip(linear, 0, 1)
-    encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return encoded.astype(np.float32)
+def _eight_bits(colors: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
 def _write_whole(path: Path, content: bytes) -> None:

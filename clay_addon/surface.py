@@ -55,6 +55,13 @@ class Surface:
         center = self.vertices.mean(axis=0)
         return float(_face_volumes(self.vertices - center, self.faces).sum())
 
+    @property
+    def normals(self) -> Floats:
+        """Unit normals of the vertices, means over their faces by area, shape [V, 3]."""
+        corners = self.vertices[self.faces]
+        area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+        return _vertex_normals(self.faces, area_vectors, len(self.vertices))
+
     def check(self) -> None:
         """Check that the mesh is closed, manifold and consistently wound.
 

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import bpy
 import numpy as np
 import pytest
 import trimesh
+from trimesh.exchange.gltf import load_glb
 
 from tactile_clay.clay_addon import export
 from tactile_clay.clay_addon.export import ExportError, check_target, export_clay, write_mesh
@@ -74,10 +78,9 @@ def test_colours_are_in_the_formats_own_space(
 ) -> None:
     """OBJ and PLY hold sRGB, GLB holds linear colours; both ends of the slab are right to 1 %."""
     mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
-    if suffix == ".glb":
-        found = np.asarray(mesh.visual.vertex_attributes["color"])[:, :3]
-    else:
-        found = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255
+    visual = mesh.visual
+    stored = visual.vertex_attributes["color"] if suffix == ".glb" else visual.vertex_colors
+    found = np.asarray(stored)[:, :3] / 255
     encode = np.asarray if suffix == ".glb" else srgb
     left, right = mesh.vertices[:, 0] < 0.18, mesh.vertices[:, 0] > 0.22
     np.testing.assert_allclose(found[left].mean(axis=0), encode(RED[:3]), atol=0.01)
@@ -130,6 +133,46 @@ def test_blender_imports_the_same_place_and_colours(
     left, right = vertices[:, 0] < 0.18, vertices[:, 0] > 0.22
     np.testing.assert_allclose(colors[left].mean(axis=0), RED, atol=0.01)
     np.testing.assert_allclose(colors[right].mean(axis=0), BLUE, atol=0.01)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".glb"])
+def test_blender_shades_the_surface_smoothly(suffix: str, surface: Surface, tmp_path: Path) -> None:
+    """All triangles around a vertex share its normal, which is the surface's own."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    imported(write_mesh(surface, tmp_path / f"clay{suffix}"))
+    (item,) = (item for item in bpy.data.objects if item.type == "MESH")
+    corners = np.array([loop.vertex_index for loop in item.data.loops])
+    local = np.array([corner.vector for corner in item.data.corner_normals])
+    world = local @ np.array(item.matrix_world)[:3, :3].T
+    np.testing.assert_allclose(world, surface.normals[corners], atol=1e-3)
+
+
+def test_glb_has_unit_normals_everywhere(surface: Surface, tmp_path: Path) -> None:
+    """A vertex without area around it has a normal of length 1 too, as glTF asks for."""
+    lonely = Surface(np.vstack([surface.vertices, [[0.2, -0.1, 0.3]]]), surface.faces)
+    content = write_mesh(lonely, tmp_path / "clay.glb").read_bytes()
+    (part,) = load_glb(io.BytesIO(content))["geometry"].values()
+    assert len(part["vertex_normals"]) == len(lonely.vertices)
+    np.testing.assert_allclose(np.linalg.norm(part["vertex_normals"], axis=1), 1, atol=1e-5)
+
+
+def test_glb_is_not_of_metal(surface: Surface, tmp_path: Path) -> None:
+    """Coloured or not, a GLB file has a rough material without metal."""
+    for item in (surface, Surface(surface.vertices, surface.faces)):
+        material = read(write_mesh(item, tmp_path / "clay.glb")).visual.material
+        assert material.metallicFactor == 0
+        assert material.roughnessFactor == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_obj_keeps_single_precision_at_any_size(
+    size: float, surface: Surface, tmp_path: Path
+) -> None:
+    """The number of decimals follows the size of the clay."""
+    scaled = Surface(surface.vertices * size, surface.faces)
+    (low, high) = read(write_mesh(scaled, tmp_path / "clay.obj")).bounds
+    expected = np.ptp(scaled.vertices, axis=0)[[0, 2, 1]]
+    np.testing.assert_allclose(high - low, expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("suffix", export.SUFFIXES)
@@ -205,6 +248,34 @@ def test_clay_too_far_from_the_origin_is_refused(surface: Surface, tmp_path: Pat
     assert not list(tmp_path.iterdir())
 
 
+def test_numpy_is_all_that_the_formats_need(tmp_path: Path) -> None:
+    """Where scipy, networkx and Pillow are missing, as in Blender, no slow way is taken either."""
+    source = f"""
+import logging, os, sys
+sys.modules.update(dict.fromkeys(["scipy", "networkx", "PIL"]))
+logging.basicConfig()
+import numpy as np
+from tactile_clay.clay_addon.export import SUFFIXES, write_mesh
+from tactile_clay.clay_addon.surface import Surface
+
+vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+surface = Surface(vertices, faces, np.full((4, 4), 0.5, np.float32))
+for suffix in SUFFIXES:
+    print(write_mesh(surface, {str(tmp_path)!r} + "/clay" + suffix))
+# Blender's own threads need not be waited for.
+sys.stdout.flush()
+os._exit(0)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", source], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    assert "WARNING:trimesh" not in result.stderr
+    for suffix in export.SUFFIXES:
+        assert read(tmp_path / f"clay{suffix}").is_watertight
+
+
 # The operator and the scene -----------------------------------------------------------------
 
 
@@ -276,12 +347,13 @@ def test_operator_needs_clay(studio: Any, tmp_path: Path) -> None:
         export_clay(bpy.context, tmp_path / "clay.stl", objects=[studio.block()])
 
 
+@pytest.mark.parametrize("name", ["pysplashsurf", "trimesh"])
 def test_missing_library_is_said(
-    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without pysplashsurf the export says what to install and writes nothing."""
+    """Without a library the export says what to install and writes nothing."""
     studio.clay()
-    monkeypatch.setitem(__import__("sys").modules, "pysplashsurf", None)
-    with pytest.raises(ExportError, match="pysplashsurf is missing"):
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ExportError, match=f"{name} is missing"):
         export_clay(bpy.context, tmp_path / "clay.stl")
     assert not list(tmp_path.iterdir())
