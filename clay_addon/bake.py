@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import math
 import os
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,7 +14,16 @@ from statistics import median
 import bpy
 import numpy as np
 
-from .cache import Cache, CacheDamagedError, CacheError, Frame, Meta
+from .bake_checks import (
+    BakeError,
+    BakeStaleError,
+    check_owner,
+    check_resume,
+    owner_of,
+    resolve_directory,
+)
+from .cache import Cache, Frame, Meta
+from .checkpoints import Checkpoints, restore_checkpoint
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
@@ -25,20 +33,18 @@ from .simulation import (
     SimulationError,
     clay_objects,
     frames_per_second,
-    scene_digests,
     solver_device,
 )
 
-CHECKPOINT_INTERVAL = 10
-"""Fewest frames from one checkpoint to the next."""
-
-
-class BakeError(Exception):
-    """A bake cannot start or go on; the message says why and what to do."""
-
-
-class BakeStaleError(BakeError):
-    """The scene is no longer what the bake was made from."""
+__all__ = [
+    "BakeError",
+    "BakeProgress",
+    "BakeResult",
+    "BakeStaleError",
+    "bake",
+    "bake_steps",
+    "free",
+]
 
 
 @dataclass(frozen=True)
@@ -103,27 +109,6 @@ class _Tally:
     penetrations: list[float] = field(default_factory=list)
     overflow: int = 0
     quarantined: int = 0
-
-
-def resolve_directory(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None) -> Path:
-    """The cache folder as an absolute path.
-
-    Args:
-        scene: Its cache folder is taken where `directory` is None.
-        directory: A path; one that starts with ``//`` is beside the .blend.
-
-    Raises:
-        BakeError: The folder is relative to a .blend that was never saved, or no folder is set.
-    """
-    text = os.fspath(directory) if directory is not None else scene.tactile_clay.cache_directory
-    if not text:
-        raise BakeError("No cache folder is set. Set one in the Bake panel.")
-    if text.startswith("//") and not bpy.data.filepath:
-        raise BakeError(
-            "The .blend was never saved, and its bake goes into a folder beside it. Save the file "
-            "first, or set an absolute cache folder."
-        )
-    return Path(bpy.path.abspath(text)).absolute()
 
 
 def bake(
@@ -204,12 +189,12 @@ def bake_steps(
             simulation = Simulation(context)
             device = solver_device(context, device)
             meta = _make_meta(scene, simulation, cache, start, end, device)
-            _check_owner(scene, cache, replace_other=replace_other)
+            check_owner(scene, cache, replace_other=replace_other)
             cache.prepare()
             with cache.locked():
                 known: dict[int, Frame] = {}
                 if resume and cache.exists():
-                    known = _check_resume(scene, simulation, cache, meta)
+                    known = check_resume(scene, simulation, cache, meta)
                     old = cache.meta()
                     meta = replace(meta, end=max(old.end, end), statistics=old.statistics)
                     cache.write_meta(meta)
@@ -267,99 +252,9 @@ def _make_meta(
         frames_per_second=frames_per_second(scene),
         clay=simulation.parts,
         settings={**simulation.digests(), "device": computed_by},
-        owner=_owner(scene, cache),
+        owner=owner_of(scene, cache),
         version=ADDON_VERSION,
     )
-
-
-def _owner(scene: bpy.types.Scene, cache: Cache) -> str:
-    """The .blend, seen from the cache folder so that both can move together, and the scene."""
-    if not bpy.data.filepath:
-        return ""
-    try:
-        blend = os.path.relpath(bpy.data.filepath, cache.directory)
-    except ValueError:
-        blend = bpy.data.filepath
-    return f"{Path(blend).as_posix()}|{scene.name}"
-
-
-def _check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) -> None:
-    """Refuse to touch a bake that another .blend or scene still uses."""
-    if replace_other or not cache.exists():
-        return
-    try:
-        owner = cache.meta().owner
-    except CacheError:
-        return
-    blend, _, scene_name = owner.rpartition("|")
-    path = cache.directory / blend
-    if not blend or not path.exists():
-        return
-    here = bpy.data.filepath
-    same_file = bool(here) and Path(here).exists() and path.samefile(here)
-    if same_file and (scene_name == scene.name or scene_name not in bpy.data.scenes):
-        return
-    raise BakeError(
-        f"The cache folder {cache.directory} holds the bake of "
-        f"{path.name if not same_file else f'scene {scene_name!r}'}. Choose another cache folder, "
-        "so that it is not lost."
-    )
-
-
-def _check_resume(
-    scene: bpy.types.Scene, simulation: Simulation, cache: Cache, meta: Meta
-) -> dict[int, Frame]:
-    """The whole frames to go on from, if the scene is still what it was."""
-    try:
-        old = cache.meta()
-        if old.start != meta.start:
-            change = f"it starts at frame {old.start}, not at {meta.start}"
-        else:
-            change = compare(scene, simulation, cache, meta.settings)
-    except CacheDamagedError as error:
-        change = f"its meta.json is damaged ({error})"
-    if change:
-        raise BakeStaleError(
-            f"The bake in {cache.directory} is stale: {change}. Bake again to start over, or undo "
-            "the change and resume."
-        )
-    return cache.whole_frames(meta.start, meta.end)
-
-
-def compare(
-    scene: bpy.types.Scene, simulation: Simulation, cache: Cache, settings: Mapping[str, str]
-) -> str:
-    """What has changed in the scene since it was baked, in words; empty where nothing has.
-
-    Moves the scene through the baked frames, to see what the colliders do there, and leaves it at
-    the last one.
-
-    Raises:
-        CacheError: There is no bake, or its meta.json is damaged.
-        SimulationError: A collider does what the solver cannot follow.
-    """
-    meta = cache.meta()
-    changed = changed_subjects(meta, settings)
-    if changed:
-        return f"since then changed: {', '.join(changed)}"
-    for number, frame in cache.whole_frames(meta.start, meta.end).items():
-        scene.frame_set(number)
-        if simulation.feed(bpy.context.evaluated_depsgraph_get()) != frame.inputs:
-            return f"since then the colliders' motion changed, first at frame {number}"
-    return ""
-
-
-def changed_subjects(meta: Meta, digests: Mapping[str, str]) -> list[str]:
-    """Subjects whose digest differs from what the bake was made with."""
-    return [name for name, value in digests.items() if meta.settings.get(name) != value]
-
-
-def changes_at_a_glance(scene: bpy.types.Scene, meta: Meta) -> list[str]:
-    """What can be told to have changed without evaluating the colliders, quickly enough to draw."""
-    try:
-        return changed_subjects(meta, scene_digests(scene))
-    except SimulationError as error:
-        return [str(error)]
 
 
 def _simulate(
@@ -379,8 +274,8 @@ def _simulate(
     assert simulation.solver is not None
     last = missing[-1]
     total = last + 1 - meta.start
-    at = _restore(simulation, cache, meta, missing[0])
-    checkpoints = _Checkpoints(simulation, cache, meta, at)
+    at = restore_checkpoint(simulation, cache, meta, missing[0])
+    checkpoints = Checkpoints(simulation, cache, meta, at)
     if missing[0] == meta.start:
         _write_frame(simulation, cache, meta, meta.start, simulation.feed(depsgraph), tally)
         yield BakeProgress(meta.start, 1, total, None)
@@ -405,58 +300,6 @@ def _simulate(
         checkpoints.close()
         raise
     checkpoints.close()
-
-
-def _restore(simulation: Simulation, cache: Cache, meta: Meta, first_missing: int) -> int:
-    """Bring the solver as near to the first missing frame as checkpoints allow."""
-    scene = simulation.scene
-    assert simulation.solver is not None
-    for number in reversed(cache.checkpoints()):
-        if not meta.start < number < first_missing:
-            continue
-        try:
-            snapshot = cache.read_checkpoint(number, meta=meta)
-            scene.frame_set(number)
-            simulation.feed(bpy.context.evaluated_depsgraph_get())
-            simulation.solver.restore(snapshot)
-        except (CacheError, ValueError, KeyError):
-            # An earlier checkpoint, or the rest state, leads to the same frames.
-            continue
-        return number
-    scene.frame_set(meta.start)
-    simulation.feed(bpy.context.evaluated_depsgraph_get())
-    return meta.start
-
-
-class _Checkpoints:
-    """Writes the solver's state now and then, so that resuming loses little time."""
-
-    def __init__(self, simulation: Simulation, cache: Cache, meta: Meta, at: int) -> None:
-        self._simulation = simulation
-        self._cache = cache
-        self._meta = meta
-        self._interval = CHECKPOINT_INTERVAL
-        self._last = self._reached = at
-
-    def after(self, number: int) -> None:
-        """A frame is done: write a checkpoint if one is due."""
-        self._reached = number
-        if number - self._last >= self._interval:
-            self._write()
-
-    def close(self) -> None:
-        """Write one for the last frame that was done."""
-        if self._reached > self._last:
-            self._write()
-
-    def _write(self) -> None:
-        assert self._simulation.solver is not None
-        snapshot = self._simulation.solver.snapshot()
-        size = self._cache.write_checkpoint(self._reached, snapshot, self._meta)
-        # So that the checkpoints never take more room than the frames.
-        frame_size = max(1, 24 * self._meta.particle_count)
-        self._interval = max(CHECKPOINT_INTERVAL, math.ceil(size / frame_size))
-        self._last = self._reached
 
 
 def _write_frame(
@@ -527,7 +370,7 @@ def free(
         CacheError: The folder cannot be emptied.
     """
     cache = Cache(resolve_directory(scene, directory))
-    _check_owner(scene, cache, replace_other=replace_other)
+    check_owner(scene, cache, replace_other=replace_other)
     size = cache.free()
     refresh(scene)
     return size

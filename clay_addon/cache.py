@@ -9,149 +9,42 @@ Positions are in world space and Blender units, as the viewport shows them.
 
 from __future__ import annotations
 
-import errno
-import hashlib
-import json
-import math
 import os
 import re
-import sys
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-FORMAT_VERSION = 1
+from .cache_files import (
+    CacheDamagedError,
+    CacheError,
+    CacheMissingError,
+    lock_file,
+    read_arrays,
+    write_arrays,
+    write_whole,
+)
+from .cache_meta import ClaySlice, Meta
+
+__all__ = [
+    "Cache",
+    "CacheDamagedError",
+    "CacheError",
+    "CacheMissingError",
+    "ClaySlice",
+    "Frame",
+    "Meta",
+]
 
 _FRAME = re.compile(r"frame_(-\d{5,}|\d{6,})\.npz")
 _CHECKPOINT = re.compile(r"checkpoint_(-\d{5,}|\d{6,})\.npz")
 _LOCK = "clay.lock"
 _TEMPORARY = re.compile(r"\.clay-.*\.tmp")
-
-
-class CacheError(Exception):
-    """A cache cannot be read or written; the message says why and what to do."""
-
-
-class CacheMissingError(CacheError):
-    """The cache, or a frame of it, is not there."""
-
-
-class CacheDamagedError(CacheError):
-    """A file of the cache is truncated, altered, or not of this bake."""
-
-
-@dataclass(frozen=True)
-class ClaySlice:
-    """One clay object's part of every frame."""
-
-    name: str
-    """The object's name."""
-    count: int
-    """Number of its particles; the objects follow each other in the order of the list."""
-
-
-@dataclass(frozen=True)
-class Meta:
-    """What a bake was made from, as kept in ``meta.json``."""
-
-    start: int
-    """First frame: the rest state."""
-    end: int
-    """Last frame that was asked for."""
-    frames_per_second: float
-    """Frames in one second of simulated time [1/s]."""
-    clay: tuple[ClaySlice, ...]
-    """The clay objects, in the order of the particles."""
-    settings: Mapping[str, str]
-    """A digest for each subject that decides the result, so that a change can be named."""
-    owner: str = ""
-    """The .blend file and scene the bake belongs to."""
-    version: str = ""
-    """Version of the add-on that made it."""
-    statistics: Mapping[str, float] = field(default_factory=dict)
-    """Figures of the last bake, for reports."""
-
-    @property
-    def particle_count(self) -> int:
-        """Number of particles in every frame."""
-        return sum(part.count for part in self.clay)
-
-    @property
-    def digest(self) -> bytes:
-        """Sixteen bytes that every frame file of this bake carries."""
-        text = json.dumps(
-            [FORMAT_VERSION, self.start, self.particle_count, sorted(self.settings.items())]
-        )
-        return hashlib.blake2b(text.encode(), digest_size=16).digest()
-
-    def to_json(self) -> str:
-        """The text of ``meta.json``."""
-        table = {"format_version": FORMAT_VERSION, "particle_count": self.particle_count}
-        table.update(asdict(self))
-        return json.dumps(table, indent=2) + "\n"
-
-    @classmethod
-    def from_json(cls, text: str) -> Meta:
-        """Read the text of ``meta.json``.
-
-        Raises:
-            CacheDamagedError: The text is not what `to_json` writes.
-        """
-        try:
-            table = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise CacheDamagedError(f"meta.json is not valid JSON ({error})") from error
-        if not isinstance(table, dict):
-            raise CacheDamagedError("meta.json holds no table")
-        version = table.get("format_version")
-        if version != FORMAT_VERSION:
-            raise CacheDamagedError(
-                f"the cache has format {version!r}, this add-on reads {FORMAT_VERSION}; bake again"
-            )
-        try:
-            clay = tuple(
-                ClaySlice(_typed(part, "name", str), _typed(part, "count", int))
-                for part in _typed(table, "clay", list)
-            )
-            meta = cls(
-                start=_typed(table, "start", int),
-                end=_typed(table, "end", int),
-                frames_per_second=float(_typed(table, "frames_per_second", float)),
-                clay=clay,
-                settings={
-                    key: _typed(_typed(table, "settings", dict), key, str)
-                    for key in _typed(table, "settings", dict)
-                },
-                owner=_typed(table, "owner", str),
-                version=_typed(table, "version", str),
-                statistics={
-                    key: float(_typed(_typed(table, "statistics", dict), key, float))
-                    for key in _typed(table, "statistics", dict)
-                },
-            )
-        except (KeyError, TypeError, OverflowError) as error:
-            raise CacheDamagedError(f"meta.json lacks or garbles an entry: {error}") from error
-        sane = meta.end >= meta.start and all(part.count > 0 for part in clay)
-        if not sane or not math.isfinite(meta.frames_per_second) or meta.frames_per_second <= 0:
-            raise CacheDamagedError("meta.json has values that make no sense")
-        if table.get("particle_count") != meta.particle_count:
-            raise CacheDamagedError("meta.json's particle counts disagree")
-        return meta
-
-
-def _typed(table: Any, key: str, kind: type) -> Any:
-    value = table[key]
-    accepted = (int, float) if kind is float else kind
-    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-        raise TypeError(f"{key!r} is {value!r}")
-    return value
 
 
 @dataclass(frozen=True)
@@ -223,7 +116,7 @@ class Cache:
             CacheDamagedError: The file is truncated, altered or of another bake.
         """
         path = self.frame_path(number)
-        arrays = _read_arrays(path, ("bake", "frame", "inputs", "positions", "velocities"))
+        arrays = read_arrays(path, ("bake", "frame", "inputs", "positions", "velocities"))
         meta = meta or self.meta()
         shape = (meta.particle_count, 3)
         if arrays["bake"].tobytes() != meta.digest or arrays["frame"].tolist() != [number]:
@@ -241,7 +134,7 @@ class Cache:
             CacheDamagedError: The file is truncated or altered.
         """
         path = self.directory / "colors.npz"
-        colors = _read_arrays(path, ("colors",))["colors"]
+        colors = read_arrays(path, ("colors",))["colors"]
         if colors.shape != (self.meta().particle_count, 4) or colors.dtype != np.float32:
             raise CacheDamagedError(f"{path.name} holds colours of the wrong size")
         return colors
@@ -254,7 +147,7 @@ class Cache:
             CacheDamagedError: The file is truncated, altered or of another bake.
         """
         path = self._checkpoint_path(number)
-        arrays = _read_arrays(path)
+        arrays = read_arrays(path)
         meta = meta or self.meta()
         bake = arrays.pop("clay_cache_bake", np.zeros(0, np.uint8))
         if bake.tobytes() != meta.digest:
@@ -318,7 +211,7 @@ class Cache:
         """
         self.prepare()
         self._remove(keep_folder=True)
-        _write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
+        write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
         self.write_meta(meta)
 
     def write_meta(self, meta: Meta) -> None:
@@ -327,7 +220,7 @@ class Cache:
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
         """
-        _write_whole(self._meta_path, lambda file: file.write(meta.to_json().encode()))
+        write_whole(self._meta_path, lambda file: file.write(meta.to_json().encode()))
 
     def write_frame(self, frame: Frame, meta: Meta) -> None:
         """Write one frame.
@@ -335,7 +228,7 @@ class Cache:
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
         """
-        _write_arrays(
+        write_arrays(
             self.frame_path(frame.number),
             {
                 "bake": np.frombuffer(meta.digest, np.uint8),
@@ -356,7 +249,7 @@ class Cache:
         """
         path = self._checkpoint_path(number)
         bake = np.frombuffer(meta.digest, np.uint8)
-        _write_arrays(path, {**snapshot, "clay_cache_bake": bake})
+        write_arrays(path, {**snapshot, "clay_cache_bake": bake})
         return path.stat().st_size
 
     def remove_checkpoint(self, number: int) -> None:
@@ -392,7 +285,7 @@ class Cache:
         path = self.directory / _LOCK
         with path.open("a+b") as file:
             try:
-                _lock_file(file.fileno())
+                lock_file(file.fileno())
             except BlockingIOError:
                 raise CacheError(
                     f"Another process is baking into {self.directory}. Wait for it, or choose "
@@ -436,87 +329,3 @@ class Cache:
                 path.unlink(missing_ok=True)
         if not keep_folder and self.directory.is_dir() and not any(self.directory.iterdir()):
             self.directory.rmdir()
-
-
-def _lock_file(handle: int) -> None:
-    """Lock an open file until it is closed; do nothing where the file system knows no locks.
-
-    Raises:
-        BlockingIOError: Another process holds the lock.
-    """
-    try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
-            raise BlockingIOError from error
-
-
-def _read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
-    """Read an .npz file whole: the checksum of each array in it is verified on the way."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in names or archive.files}
-    except FileNotFoundError:
-        raise CacheMissingError(f"{path.name} is missing") from None
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        EOFError,
-        RuntimeError,
-        TypeError,
-        AttributeError,
-        SyntaxError,
-        MemoryError,
-        OverflowError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise CacheDamagedError(f"{path.name} is damaged ({error})") from error
-
-
-def _write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    # numpy stamps every entry with the same date, so equal arrays make equal bytes.
-    _write_whole(path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
-
-
-def _write_whole(path: Path, write: Any) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens on the way."""
-    temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"
-    try:
-        with temporary.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            message = (
-                f"The disk is full: {path} could not be written. Frames baked so far are kept; "
-                "free some space, then Resume."
-            )
-        else:
-            message = f"{path} could not be written ({error.strerror or error})."
-        raise CacheError(message) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make a rename last through a power cut, where the system can do that."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

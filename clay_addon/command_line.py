@@ -83,8 +83,8 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
         return int(end.code or 0)
     try:
         # What Blender and Warp print belongs to the standard error: the standard output has the
-        # result and nothing else.
-        with _diverted():
+        # result and nothing else. The demonstration sees to that itself.
+        with contextlib.nullcontext() if arguments.carry_out is _demo else _diverted():
             code, result = arguments.carry_out(arguments)
         if result:
             print(result, flush=True)

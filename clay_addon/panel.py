@@ -8,7 +8,7 @@ import time
 import bpy
 
 from . import bake_operators, playback
-from .bake import changes_at_a_glance
+from .bake_checks import changes_at_a_glance
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
 from .pack import is_packed

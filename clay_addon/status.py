@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from .bake import BakeError, compare, resolve_directory
+from .bake_checks import BakeError, compare, resolve_directory
 from .bake_operators import size_text
 from .cache import Cache, CacheError
 from .collider import ColliderError, resolve_kind

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -325,14 +324,5 @@ def test_two_processes_do_not_write_at_once(cache: Cache) -> None:
 
 def test_cache_needs_no_blender() -> None:
     """Read a cache from scripts that have no bpy."""
-    source = (
-        "import sys; sys.modules['bpy'] = None\n"
-        "import importlib.util, pathlib\n"
-        "spec = importlib.util.spec_from_file_location('cache', sys.argv[1])\n"
-        "module = importlib.util.module_from_spec(spec); sys.modules['cache'] = module\n"
-        "spec.loader.exec_module(module)\n"
-    )
-    import tactile_clay.clay_addon.cache as module
-
-    path: Any = module.__file__
-    subprocess.run([sys.executable, "-c", source, path], check=True)
+    source = "import sys; sys.modules['bpy'] = None; import tactile_clay.clay_addon.cache"
+    subprocess.run([sys.executable, "-c", source], check=True)

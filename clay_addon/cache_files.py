@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files that are there whole or not at all, whatever happens while they are written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class CacheError(Exception):
+    """A cache cannot be read or written; the message says why and what to do."""
+
+
+class CacheMissingError(CacheError):
+    """The cache, or a frame of it, is not there."""
+
+
+class CacheDamagedError(CacheError):
+    """A file of the cache is truncated, altered, or not of this bake."""
+
+
+def lock_file(handle: int) -> None:
+    """Lock an open file until it is closed; do nothing where the file system knows no locks.
+
+    Raises:
+        BlockingIOError: Another process holds the lock.
+    """
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK):
+            raise BlockingIOError from error
+
+
+def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+    """Read an .npz file whole: the checksum of each array in it is verified on the way."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names or archive.files}
+    except FileNotFoundError:
+        raise CacheMissingError(f"{path.name} is missing") from None
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        EOFError,
+        RuntimeError,
+        TypeError,
+        AttributeError,
+        SyntaxError,
+        MemoryError,
+        OverflowError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise CacheDamagedError(f"{path.name} is damaged ({error})") from error
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    # numpy stamps every entry with the same date, so equal arrays make equal bytes.
+    write_whole(path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file so that it is there whole or not at all, whatever happens on the way."""
+    temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"
+    try:
+        with temporary.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        _sync_folder(path.parent)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            message = (
+                f"The disk is full: {path} could not be written. Frames baked so far are kept; "
+                "free some space, then Resume."
+            )
+        else:
+            message = f"{path} could not be written ({error.strerror or error})."
+        raise CacheError(message) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename last through a power cut, where the system can do that."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
