@@ -124,20 +124,29 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
     def add_file_options(command: argparse.ArgumentParser) -> None:
         if names_file:
             command.add_argument("file", metavar="FILE.blend", type=Path)
-        command.add_argument("--scene", metavar="NAME", help="the scene; the file's active one")
-        command.add_argument("--cache", metavar="DIR", help="the cache folder; the scene's own")
+        command.add_argument(
+            "--scene", metavar="NAME", help="the scene (default: the file's active one)"
+        )
+        command.add_argument(
+            "--cache", metavar="DIR", help="the cache folder (default: the scene's)"
+        )
         command.add_argument("--json", action="store_true", help="print the result as JSON")
 
     bake = add("bake", "simulate the clay into its cache", _bake)
     add_file_options(bake)
     bake.add_argument(
-        "--frames", metavar="A-B", type=_frame_range, help="frames to bake; the scene's own range"
+        "--frames",
+        metavar="A-B",
+        type=_frame_range,
+        help="frames to bake (default: the scene's range)",
     )
     bake.add_argument(
         "--resume", action="store_true", help="keep the frames that are there and go on"
     )
     bake.add_argument(
-        "--device", choices=("auto", "cpu", "cuda:0"), help="where to compute; the preferences'"
+        "--device",
+        choices=("auto", "cpu", "cuda:0"),
+        help="where to compute (default: the preferences')",
     )
     bake.add_argument(
         "--replace", action="store_true", help="bake over the cache of another .blend or scene"
@@ -148,7 +157,9 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
 
     export = add("export", "write the clay at a frame as one watertight mesh", _export)
     add_file_options(export)
-    export.add_argument("--frame", type=int, metavar="N", help="the frame; the file's current one")
+    export.add_argument(
+        "--frame", type=int, metavar="N", help="the frame (default: the file's current one)"
+    )
     export.add_argument(
         "--output",
         type=Path,
@@ -157,7 +168,10 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         help="the file to write: .stl, .obj, .ply or .glb",
     )
     export.add_argument(
-        "--unit", choices=("m", "mm"), default="m", help="unit of the numbers in the file; m"
+        "--unit",
+        choices=("m", "mm"),
+        default="m",
+        help="unit of the numbers in the file (default: m)",
     )
 
     info = add("info", "tell what clay a file holds and what is baked", _info)
