@@ -43,8 +43,12 @@ SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
-MOST_SUBSTEPS = 256
+MOST_SUBSTEPS = 128
 """Fast clay takes at most this many substeps in 1/60 s."""
+SPEED_FLOOR = 1.0
+"""Inner forces may always make clay this fast [m/s]; see `Solver._limit_speed`."""
+SPEED_MEMORY = 0.5
+"""How long the clay may remember the speed it had, to bounce back with it [s]."""
 MOST_LAWS = 64
 """Lengths of substep whose laws are kept."""
 NEWTON_STEPS = 2
@@ -74,6 +78,8 @@ def move(
     time_step: float,
     velocity: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
+    speed_limit: wp.array[float],
+    clamped: wp.array[int],
     quarantined: wp.array[int],
     substep: wp.array[int],
 ) -> None:
@@ -81,6 +87,10 @@ def move(
     i = wp.tid()
     if i == 0:
         substep[0] = substep[0] + 1
+    speed = wp.length(velocity[i])
+    if speed > speed_limit[0]:
+        velocity[i] = velocity[i] * (speed_limit[0] / speed)
+        wp.atomic_add(clamped, 0, 1)
     moved = position[i] + velocity[i] * time_step
     if wp.isfinite(moved):
         position[i] = moved
@@ -144,6 +154,9 @@ class Solver:
         self._velocity_free = wp.zeros(count, dtype=wp.vec3, device=self.device)
         self._diagonal = wp.zeros(count, dtype=wp.mat33, device=self.device)
         self._own_block = wp.zeros(count, dtype=wp.mat33, device=self.device)
+        self._clamped = wp.zeros(1, dtype=int, device=self.device)
+        self._speed_limit = wp.zeros(1, dtype=float, device=self.device)
+        self._speed_before = 0.0
         self._substep = wp.zeros(1, dtype=int, device=self.device)
         self._recordings = Recordings(self.device)
         self._quarantined = wp.zeros(1, dtype=int, device=self.device)
@@ -193,9 +206,13 @@ class Solver:
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"A step of {duration!r} s is not possible; it must be above 0.")
         shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
-        substeps = max(shortest, self._substeps_for_speed(duration))
+        speed = self._fastest()
+        most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
+        substeps = max(shortest, min(math.ceil(speed * duration / self.scene.spacing), most))
+        motion = 0.0
         if self._meshes:
-            substeps = max(substeps, self._plan_colliders(shortest, substeps))
+            substeps, motion = self._plan_colliders(shortest, substeps)
+        self._limit_speed(speed, motion / duration, duration)
         time_step = duration / substeps
         self._prepare_law(time_step)
         self._impulse.zero_()
@@ -210,14 +227,27 @@ class Solver:
         self._duration = duration
         self._substeps = substeps
 
-    def _substeps_for_speed(self, duration: float) -> int:
-        """Substeps such that the fastest particle moves about a spacing in one."""
-        if not self.scene.particle_count:
-            return 1
+    def _fastest(self) -> float:
+        """Speed of the fastest particle [m/s]."""
         speeds = np.linalg.norm(self._velocity.numpy(), axis=1)
-        speed = float(np.max(speeds, initial=0.0, where=np.isfinite(speeds)))
-        most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
-        return min(math.ceil(speed * duration / self.scene.spacing), most)
+        return float(np.max(speeds, initial=0.0, where=np.isfinite(speeds)))
+
+    def _limit_speed(self, speed: float, collider_speed: float, duration: float) -> None:
+        """Bound how fast anything can become in this step.
+
+        Clay that overlaps itself, as when particles are added on one spot, holds far more elastic
+        energy than clay can. Nothing that happens to clay makes it faster than it was a moment
+        ago, but for gravity and for tools, which can throw it with twice their speed.
+
+        Args:
+            speed: Of the fastest particle [m/s].
+            collider_speed: Of the fastest collider [m/s].
+            duration: Length of the step [s].
+        """
+        kept = max(speed, self._speed_before * math.exp(-duration / SPEED_MEMORY))
+        self._speed_before = kept
+        fall = 2.0 * float(np.linalg.norm(self.scene.gravity)) * duration
+        self._speed_limit.fill_(max(kept, SPEED_FLOOR, 2.0 * collider_speed) + fall)
 
     def _prepare_law(self, time_step: float) -> None:
         """Take up the laws for a substep; recordings hold on to those made before."""
@@ -235,18 +265,23 @@ class Solver:
             )
         self._clay, self._pair_laws = self._laws[time_step]
 
-    def _plan_colliders(self, shortest: int, substeps: int) -> int:
-        """Substeps such that no collider moves more than half a particle's radius in one."""
+    def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
+        """Substeps such that no collider moves more than half a particle's radius in one.
+
+        Returns:
+            Their number, and the farthest motion of a collider that does not jump [m].
+        """
         assert self._meshes is not None
         motions = self._meshes.farthest_motion()
         stride = 0.25 * self.scene.spacing
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = [m for m, jumps in zip(motions, teleported, strict=True) if not jumps]
-        substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
+        farthest = max(swept, default=0.0)
+        substeps = max(substeps, math.ceil(farthest / stride))
         self._teleported += sum(teleported)
         self._meshes.begin_step(substeps, motions, teleported)
-        return substeps
+        return substeps, farthest
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
         """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
@@ -328,6 +363,8 @@ class Solver:
                 common.time_step,
                 self._velocity,
                 self._position,
+                self._speed_limit,
+                self._clamped,
                 self._quarantined,
                 self._substep,
             ],
@@ -445,7 +482,7 @@ class Solver:
             volume_error=compression,
             max_penetration=float(self._deepest.numpy()[0]),
             max_speed=speed,
-            clamped=0,
+            clamped=int(self._clamped.numpy()[0]),
             overflow=self._neighbors.overflow + int(self._pairs.overflow.numpy()[0]),
             quarantined=int(self._quarantined.numpy()[0]),
             teleported=self._teleported,
@@ -492,10 +529,12 @@ class Solver:
             "position": self.positions(),
             "velocity": self.velocities(),
             "compression": self._pairs.rows.compression.numpy().copy(),
+            "speed_before": np.array(self._speed_before),
             "time_step_before": np.array(self._time_step_before),
             "counts": np.array(
                 [
                     int(self._pairs.overflow.numpy()[0]),
+                    int(self._clamped.numpy()[0]),
                     int(self._quarantined.numpy()[0]),
                     self._teleported,
                 ]
@@ -528,7 +567,9 @@ class Solver:
         self._velocity.assign(snapshot["velocity"])
         self._pairs.rows.compression.assign(snapshot["compression"])
         self._time_step_before = float(snapshot["time_step_before"])
-        overflow, quarantined, self._teleported = (int(n) for n in snapshot["counts"])
+        overflow, clamped, quarantined, self._teleported = (int(n) for n in snapshot["counts"])
+        self._speed_before = float(snapshot["speed_before"])
+        self._clamped.fill_(clamped)
         self._pairs.overflow.fill_(overflow)
         self._quarantined.fill_(quarantined)
         self._neighbors.restore(snapshot)

@@ -78,7 +78,8 @@ def main() -> None:
     wp.config.quiet = True
     cases = []
     for name, counts in SIZES.items():
-        case = {"case": name, **measure(counts, Settings(), **_only(options))}
+        figures = measure(counts, Settings(), frames=options.frames, device=options.device)
+        case = {"case": name, **figures}
         cases.append(case)
         print(
             f"{name:>4}  {case['particles']:>6} particles  {case['ms_median']:7.1f} ms a frame "
@@ -93,10 +94,6 @@ def main() -> None:
     path = options.output / "bench.json"
     path.write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     print(f"Wrote {path}.")
-
-
-def _only(options: argparse.Namespace) -> dict[str, object]:
-    return {"frames": options.frames, "device": options.device}
 
 
 if __name__ == "__main__":
