@@ -12,7 +12,8 @@ so momentum is kept and a block at rest weighs exactly what it should.
 import numpy as np
 import warp as wp
 
-from .pairs import PairRows, Pairs, pair_direction
+from .pair_rows import PairRows, pair_direction
+from .pairs import Pairs
 
 CELL = 8.0
 """Edge of a cell, in spacings."""

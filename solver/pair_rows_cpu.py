@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The products of conjugate gradients for the CPU's vector units.
 
-They take more than half of a frame. `pairs.press_pairs` and `pairs.multiply_pairs` are the same
-for reading and for graphics cards; a test holds the two to the same result.
+They take more than half of a frame. The kernels of `pair_rows` with the same names are the same
+products for reading and for graphics cards; a test holds the two to the same result.
 """
 
 import warp as wp
 
 from .bond_law import Body, Clay
-from .pairs import MOST_PAIRS, PairRows
+from .pair_rows import MOST_PAIRS, PairRows
 
 # The compiler may use all that this processor has; sums may be reordered (see the pragmas).
 wp.set_module_options({"cpu_compiler_flags": "-O3 -march=native"})
@@ -117,7 +117,7 @@ def measure_row(
 
 @wp.kernel(enable_backward=False)
 def measure_pairs(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
-    """`pairs.measure_pairs`, a row at a time."""
+    """`pair_rows.measure_pairs`, a row at a time."""
     i = wp.tid()
     row = measure_row(i, _WIDTH, clay.kernel_radius, clay.time_step, pairs, velocity)
     pairs.mean_stretch[i] = row[1] / wp.max(row[2], 1.0)
@@ -134,7 +134,7 @@ def press_pairs(
     direction: wp.array[wp.vec3],
     pressure_change: wp.array[float],
 ) -> None:
-    """`pairs.press_pairs`, a row at a time."""
+    """`pair_rows.press_pairs`, a row at a time."""
     i = wp.tid()
     total = float(0.0)
     if pairs.compression[i] > 0.0:
@@ -151,7 +151,7 @@ def multiply_pairs(
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
 ) -> None:
-    """`pairs.multiply_pairs`, a row at a time."""
+    """`pair_rows.multiply_pairs`, a row at a time."""
     i = wp.tid()
     row = multiply_row(i, _WIDTH, pairs, direction, pressure_change)
     product[i] = own_block[i] * direction[i] + row

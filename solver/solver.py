@@ -18,13 +18,12 @@ from .bond_law import (
     make_pair_laws,
 )
 from .coarse_space import CoarseSpace
+from .colliders import MeshColliders, PlaneColliders
 from .conjugate_gradients import ConjugateGradients
 from .contact import (
     MARGIN,
     ContactPass,
     Contacts,
-    MeshContacts,
-    PlaneContacts,
     find_mesh_contacts,
     find_plane_contacts,
     press_contacts,
@@ -183,8 +182,8 @@ class Solver:
         self._least_mass = min((m.density for m in self._materials), default=1.0) * (
             scene.spacing**3
         )
-        self._planes = PlaneContacts(scene.planes, self.device) if scene.planes else None
-        self._meshes = MeshContacts(scene.meshes, count, self.device) if scene.meshes else None
+        self._planes = PlaneColliders(scene.planes, self.device) if scene.planes else None
+        self._meshes = MeshColliders(scene.meshes, count, self.device) if scene.meshes else None
         self._impulse = wp.zeros(len(colliders), dtype=wp.vec3d, device=self.device)
         self._friction = wp.array(self._friction_table(), dtype=float, device=self.device)
 

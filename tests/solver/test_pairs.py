@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tactile_clay.solver import Material, Scene, Solver, pair_rows_cpu, pairs
+from tactile_clay.solver import Material, Scene, Solver, pair_rows_cpu
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005
@@ -41,7 +41,7 @@ def test_vectorised_measure_is_the_plain_one(pressed: Solver):
     """Measure the same lengths, stretches and compressions as the plain kernel."""
     rows = pressed._pairs.rows
     results = []
-    for kernel in (pairs.measure_pairs, pair_rows_cpu.measure_pairs):
+    for kernel in (pair_rows.measure_pairs, pair_rows_cpu.measure_pairs):
         launch(pressed, kernel, pressed._clay, pressed._velocity, rows)
         count = rows.count.numpy()
         used = np.arange(rows.distance_next.shape[1]) < count[:, None]
@@ -64,7 +64,7 @@ def test_vectorised_product_is_the_plain_one(pressed: Solver):
         np.random.default_rng(2).normal(size=(count, 3)), dtype=wp.vec3, device="cpu"
     )
     results = []
-    for module in (pairs, pair_rows_cpu):
+    for module in (pair_rows, pair_rows_cpu):
         pressure = wp.zeros(count, dtype=float, device="cpu")
         product = wp.zeros(count, dtype=wp.vec3, device="cpu")
         launch(
