@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tactile_clay.solver import Material, Scene, Solver, pair_rows_cpu
+from tactile_clay.solver import Material, Scene, Solver, pair_rows, pair_rows_cpu
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005
