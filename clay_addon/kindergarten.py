@@ -12,17 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import radians
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
+from numpy.typing import NDArray
 
 from ..solver.closed_mesh import mesh_volume
 from ..solver.hand_mesh import POSES, HandPose, hand_mesh_in_poses, hand_shape
 from .collider import make_collider
 from .make_clay import make_clay
-from .mesh_geometry import evaluated_mesh
+from .mesh_geometry import evaluated_mesh, transform
 
 PARTICLE_COUNT = 2114
 """As many particles as the paper's kindergarten scene has."""
@@ -34,6 +36,9 @@ HAND_LENGTH = 0.135
 """From wrist to fingertip of a child of six [m]."""
 
 Vec3 = tuple[float, float, float]
+
+_SUZANNE_TILT = Matrix.Rotation(radians(-24.0), 4, "X")
+"""Makes her look up."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,8 @@ class _Hand:
     """Frame, and where the anchor is [m]."""
     grip: tuple[tuple[int, float], ...] = ()
     """Frame, and share of the second pose."""
+    sleeve: Vec3 = (0.55, 0.52, 0.46)
+    """Linear RGB."""
 
 
 def build(context: bpy.types.Context) -> Kindergarten:
@@ -100,8 +107,10 @@ def build(context: bpy.types.Context) -> Kindergarten:
     pieces = tuple(_add_piece(context, piece) for piece in _PIECES)
     hands = tuple(_add_hand(context, hand) for hand in _HANDS)
     clay = make_clay(context, pieces, SPACING, "plasticine", "Modelling clay")
+    _paint_eyes(clay, bpy.data.objects["Orange Suzanne"])
     _add_lights(context)
     _add_camera(context)
+    _set_render(scene)
     return Kindergarten(clay, pieces, hands)
 
 
@@ -122,7 +131,7 @@ def _add_piece(context: bpy.types.Context, piece: _Piece) -> bpy.types.Object:
     return item
 
 
-def _mesh_object(name: str, vertices: np.ndarray, faces: Sequence) -> bpy.types.Object:
+def _mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(np.asarray(vertices).tolist(), [], [list(face) for face in faces])
     mesh.update()
@@ -146,26 +155,24 @@ def _close(item: bpy.types.Object, voxel: float) -> bpy.types.Object:
     return item
 
 
-def _block(name: str) -> bpy.types.Object:
+def _block(name: str, cells: int) -> bpy.types.Object:
+    """A cube of so many particles a side whose eight corners, one particle each, are cut off."""
     bpy.ops.mesh.primitive_cube_add(size=1.0)
-    return _active(name)
-
-
-def _ball(name: str) -> bpy.types.Object:
-    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=1.0)
     item = _active(name)
-    _flatten_base(item, -0.93)
+    cut = item.modifiers.new("Corners", "BEVEL")
+    cut.affect, cut.segments, cut.limit_method = "VERTICES", 1, "NONE"
+    cut.width = 6.0 ** (1.0 / 3.0) / cells
     return item
 
 
 def _suzanne(name: str) -> bpy.types.Object:
     bpy.ops.mesh.primitive_monkey_add(size=1.0)
     item = _active(name)
-    item.data.transform(Matrix.Rotation(radians(-32.0), 4, "X"))
-    # Ears and brows of a particle's thickness would break off: make her a little chubby.
+    item.data.transform(_SUZANNE_TILT)
+    # Ears of a particle's thickness would break off: make her a little chubby.
     plump = item.modifiers.new("Chubby", "DISPLACE")
-    plump.strength, plump.mid_level = 0.035, 0.0
-    _flatten_base(item, -0.36)
+    plump.strength, plump.mid_level = 0.03, 0.0
+    _flatten_base(item, -0.31)
     return _close(item, 0.02)
 
 
@@ -198,13 +205,34 @@ def _flatten_base(item: bpy.types.Object, height: float) -> None:
         vertex.co.z = max(vertex.co.z, height)
 
 
+def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
+    """Give Suzanne's eyes, too small for pieces of their own, a colour by particle."""
+    positions = np.empty((len(clay.data.points), 3), np.float32)
+    clay.data.attributes["position"].data.foreach_get("vector", positions.ravel())
+    places = transform(clay.matrix_world, positions)
+    layer = clay.data.attributes["Color"]
+    colors = np.empty((len(positions), 4), np.float32)
+    layer.data.foreach_get("color", colors.ravel())
+    for side in (-1.0, 1.0):
+        eye = suzanne.matrix_world @ _SUZANNE_TILT @ Vector((side * 0.18, -0.40, 0.13))
+        near = np.linalg.norm(places - np.array(eye), axis=1) < 1.6 * SPACING
+        colors[near] = (0.86, 0.84, 0.78, 1.0)
+        pupil = np.array(eye) - (side * 0.002, 0.4 * SPACING, 0.0)
+        colors[np.argmin(np.linalg.norm(places - pupil, axis=1))] = (0.015, 0.012, 0.012, 1.0)
+    layer.data.foreach_set("color", colors.ravel())
+
+
 _PIECES = (
-    _Piece("Red block", 343, (0.62, 0.025, 0.020), (-0.098, -0.030), 6.0, _block),
-    _Piece("Yellow block", 216, (0.87, 0.50, 0.020), (-0.0815, 0.055), 0.0, _block),
-    _Piece("Blue block", 216, (0.020, 0.13, 0.56), (-0.0385, 0.055), 0.0, _block),
-    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.055, 0.030), 90.0, _caterpillar),
-    _Piece("Orange Suzanne", 822, (0.80, 0.17, 0.012), (0.012, -0.050), 0.0, _suzanne),
-    _Piece("Violet block", 125, (0.20, 0.045, 0.36), (0.098, -0.052), 28.0, _block),
+    _Piece("Red block", 335, (0.62, 0.025, 0.020), (-0.096, -0.030), 4.0, partial(_block, cells=7)),
+    _Piece(
+        "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0975, 0.055), 0.0, partial(_block, cells=6)
+    ),
+    _Piece("Blue block", 208, (0.020, 0.13, 0.56), (-0.0545, 0.055), 0.0, partial(_block, cells=6)),
+    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.077, 0.034), 90.0, _caterpillar),
+    _Piece("Orange Suzanne", 854, (0.80, 0.17, 0.012), (0.004, -0.062), 0.0, _suzanne),
+    _Piece(
+        "Violet block", 117, (0.20, 0.045, 0.36), (0.098, -0.056), 28.0, partial(_block, cells=5)
+    ),
 )
 
 
@@ -216,18 +244,24 @@ _PRESSING = replace(
     middle=(0.0, 0.0, 2.0, 2.0),
     ring=(2.0, 0.0, 2.0, 2.0),
     little=(6.0, 0.0, 2.0, 2.0),
-    thumb=(-6.0, -26.0, 0.0, 4.0, 2.0),
+    thumb=(-28.0, -10.0, 0.0, 4.0, 2.0),
 )
-_PUSHING = replace(_PRESSING, little=(4.0, 0.0, 2.0, 2.0), thumb=(4.0, -30.0, 0.0, 4.0, 2.0))
+_SPREAD = replace(
+    _PRESSING,
+    index=(-7.0, -8.0, 4.0, 2.0),
+    middle=(0.0, -8.0, 4.0, 2.0),
+    ring=(7.0, -8.0, 4.0, 2.0),
+    little=(14.0, -8.0, 4.0, 2.0),
+)
+_HOLDING = replace(_PRESSING, thumb=(-8.0, 24.0, 0.0, 4.0, 2.0))
+_PUSHING = replace(_PRESSING, little=(4.0, 0.0, 2.0, 2.0), thumb=(-24.0, -14.0, 0.0, 4.0, 2.0))
 _PINCHED = replace(
     POSES["pinch"],
     middle=(0.0, -8.0, 62.0, 34.0),
     ring=(4.0, -10.0, 62.0, 34.0),
     little=(9.0, -10.0, 58.0, 34.0),
 )
-_OPEN = replace(
-    _PINCHED, index=(-6.0, 25.0, 52.0, 27.0), thumb=(14.0, 13.0, 50.0, 0.0, 0.0)
-)
+_OPEN = replace(_PINCHED, index=(-6.0, 25.0, 52.0, 27.0), thumb=(14.0, 13.0, 50.0, 0.0, 0.0))
 
 _KNUCKLES = ("index_proximal", "middle_proximal", "ring_proximal", "middle_intermediate")
 _FINGERTIPS = ("thumb_tip", "index_tip")
@@ -236,17 +270,18 @@ _HANDS = (
     _Hand(
         "Pressing hand",
         "right",
-        (_PRESSING,),
-        forward=(1.0, -0.10, -0.20),
+        (_SPREAD,),
+        forward=(1.0, -0.06, -0.30),
         back=(0.0, 0.0, 1.0),
-        anchor=_KNUCKLES,
+        anchor=("index_intermediate", "middle_intermediate", "ring_intermediate"),
+        sleeve=(0.42, 0.10, 0.08),
         path=(
             (1, (-0.150, -0.010, 0.100)),
-            (16, (-0.102, -0.028, 0.050)),
-            (60, (-0.098, -0.030, 0.0175)),
-            (68, (-0.098, -0.030, 0.0175)),
-            (92, (-0.112, -0.020, 0.065)),
-            (120, (-0.220, 0.030, 0.150)),
+            (16, (-0.102, -0.028, 0.047)),
+            (60, (-0.096, -0.030, 0.0185)),
+            (68, (-0.096, -0.030, 0.0185)),
+            (92, (-0.116, -0.020, 0.065)),
+            (120, (-0.330, 0.030, 0.150)),
         ),
     ),
     _Hand(
@@ -256,13 +291,14 @@ _HANDS = (
         forward=(0.10, -1.0, -0.16),
         back=(-1.0, 0.0, 0.0),
         anchor=_KNUCKLES,
+        sleeve=(0.10, 0.22, 0.30),
         path=(
-            (1, (-0.140, 0.095, 0.052)),
-            (18, (-0.112, 0.057, 0.034)),
-            (60, (-0.093, 0.057, 0.034)),
-            (68, (-0.093, 0.057, 0.034)),
-            (92, (-0.130, 0.075, 0.050)),
-            (120, (-0.150, 0.210, 0.130)),
+            (1, (-0.156, 0.095, 0.052)),
+            (18, (-0.124, 0.057, 0.0385)),
+            (60, (-0.109, 0.057, 0.0385)),
+            (68, (-0.109, 0.057, 0.0385)),
+            (92, (-0.146, 0.075, 0.050)),
+            (120, (-0.166, 0.330, 0.160)),
         ),
     ),
     _Hand(
@@ -272,46 +308,49 @@ _HANDS = (
         forward=(-0.10, -1.0, -0.16),
         back=(1.0, 0.0, 0.0),
         anchor=_KNUCKLES,
+        sleeve=(0.10, 0.22, 0.30),
         path=(
-            (1, (0.020, 0.095, 0.052)),
-            (18, (-0.008, 0.057, 0.034)),
-            (60, (-0.027, 0.057, 0.034)),
-            (68, (-0.027, 0.057, 0.034)),
-            (92, (0.010, 0.075, 0.050)),
-            (120, (0.030, 0.210, 0.130)),
+            (1, (-0.012, 0.095, 0.052)),
+            (18, (-0.028, 0.057, 0.0385)),
+            (60, (-0.043, 0.057, 0.0385)),
+            (68, (-0.043, 0.057, 0.0385)),
+            (92, (-0.030, 0.085, 0.060)),
+            (120, (-0.045, 0.330, 0.160)),
         ),
     ),
     _Hand(
         "Holding hand",
-        "right",
-        (_PRESSING,),
-        forward=(-0.10, -1.0, -0.30),
+        "left",
+        (_HOLDING,),
+        forward=(0.06, -1.0, -0.30),
         back=(0.0, 0.0, 1.0),
         anchor=("middle_intermediate", "ring_intermediate"),
+        sleeve=(0.36, 0.13, 0.24),
         path=(
-            (1, (0.036, 0.060, 0.080)),
-            (24, (0.032, 0.032, 0.0340)),
-            (34, (0.032, 0.032, 0.0290)),
-            (94, (0.032, 0.032, 0.0290)),
-            (104, (0.034, 0.040, 0.050)),
-            (120, (0.060, 0.160, 0.130)),
+            (1, (0.058, 0.070, 0.080)),
+            (22, (0.041, 0.036, 0.0340)),
+            (34, (0.041, 0.036, 0.0290)),
+            (94, (0.041, 0.036, 0.0290)),
+            (104, (0.044, 0.044, 0.050)),
+            (120, (0.085, 0.330, 0.170)),
         ),
     ),
     _Hand(
         "Pinching hand",
         "left",
         (_OPEN, _PINCHED),
-        forward=(-0.05, -0.96, -0.26),
+        forward=(-0.30, -0.92, -0.26),
         back=(0.0, 0.0, 1.0),
         anchor=_FINGERTIPS,
+        sleeve=(0.55, 0.36, 0.10),
         path=(
-            (1, (0.074, 0.050, 0.070)),
-            (26, (0.063, 0.030, 0.014)),
-            (42, (0.063, 0.030, 0.013)),
-            (88, (0.118, 0.028, 0.014)),
-            (94, (0.118, 0.028, 0.014)),
-            (104, (0.122, 0.036, 0.055)),
-            (120, (0.160, 0.170, 0.140)),
+            (1, (0.118, 0.060, 0.070)),
+            (26, (0.087, 0.034, 0.014)),
+            (42, (0.086, 0.034, 0.013)),
+            (88, (0.135, 0.030, 0.014)),
+            (94, (0.135, 0.030, 0.014)),
+            (104, (0.140, 0.040, 0.055)),
+            (120, (0.200, 0.330, 0.170)),
         ),
         grip=((26, 0.0), (42, 1.0), (88, 1.0), (96, 0.0)),
     ),
@@ -344,8 +383,40 @@ def _add_hand(context: bpy.types.Context, hand: _Hand) -> bpy.types.Object:
     for frame, place in hand.path:
         item.location = Vector(place) - anchor
         item.keyframe_insert("location", frame=frame)
+    _add_sleeve(item, hand)
     context.scene.frame_set(context.scene.frame_current)
     return make_collider(item, "MESH", 0.5)
+
+
+_CUFF = (
+    (-0.034, 0.000), (-0.016, 0.001), (-0.012, 0.0035), (-0.015, 0.0065),
+    (-0.034, 0.0075), (-0.039, 0.0055), (-0.044, 0.0060), (-0.120, 0.010), (-0.450, 0.018),
+)  # fmt: skip
+"""Profile of a sleeve: way along the arm, and distance to the wrist's skin [m]."""
+
+
+def _add_sleeve(item: bpy.types.Object, hand: _Hand) -> None:
+    """Dress the wrist; the sleeve goes with the hand and does not touch the clay."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    rings = [
+        np.stack(
+            [(0.028 + gap) * np.cos(angle), np.full(24, way), (0.0185 + gap) * np.sin(angle)],
+            axis=1,
+        )
+        for way, gap in _CUFF
+    ]
+    vertices = np.concatenate(rings) * (HAND_LENGTH / 0.19)
+    faces = [
+        (24 * ring + n, 24 * ring + (n + 1) % 24, 24 * ring + 24 + (n + 1) % 24, 24 * ring + 24 + n)
+        for ring in range(len(rings) - 1)
+        for n in range(24)
+    ]
+    sleeve = _mesh_object(f"{hand.name}, sleeve", vertices, faces)
+    sleeve.data.shade_smooth()
+    sleeve.modifiers.new("Soft", "SUBSURF").levels = 1
+    name = f"Cloth {hand.sleeve}"
+    sleeve.data.materials.append(bpy.data.materials.get(name) or _material(name, hand.sleeve, 0.9))
+    sleeve.parent = item
 
 
 # Table, light and camera -----------------------------------------------------------------------
@@ -353,7 +424,8 @@ def _add_hand(context: bpy.types.Context, hand: _Hand) -> bpy.types.Object:
 
 def _material(name: str, color: Vec3, roughness: float) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
     shader = material.node_tree.nodes["Principled BSDF"]
     shader.inputs["Base Color"].default_value = (*color, 1.0)
     shader.inputs["Roughness"].default_value = roughness
@@ -362,29 +434,39 @@ def _material(name: str, color: Vec3, roughness: float) -> bpy.types.Material:
 
 
 def _hand_material() -> bpy.types.Material:
-    material = bpy.data.materials.get("Hand")
-    if material is None:
-        material = _material("Hand", (0.56, 0.40, 0.31), 0.55)
-        shader = material.node_tree.nodes["Principled BSDF"]
-        shader.inputs["Subsurface Weight"].default_value = 0.25
-        shader.inputs["Subsurface Scale"].default_value = 0.006
-        shader.inputs["Subsurface Radius"].default_value = (1.0, 0.45, 0.3)
-    return material
+    return bpy.data.materials.get("Hand") or _material("Hand", (0.58, 0.35, 0.24), 0.5)
 
 
 def _add_table(context: bpy.types.Context) -> None:
-    top = _mesh_object(
-        "Table", np.array([(x, y, 0) for x, y in ((-9, -9), (9, -9), (9, 9), (-9, 9))]) / 20,
-        [(0, 1, 2, 3)],
-    )
-    top.data.materials.append(_material("Table", (0.62, 0.45, 0.28), 0.45))
+    """Add a wooden table top: to the clay an endless plane."""
+    corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    top = _mesh_object("Table", 0.6 * corners, [(0, 1, 2, 3)])
+    material = _material("Wood", (0.60, 0.40, 0.22), 0.38)
+    tree = material.node_tree
+    place = tree.nodes.new("ShaderNodeTexCoord")
+    stretch = tree.nodes.new("ShaderNodeMapping")
+    stretch.inputs["Scale"].default_value = (3.0, 26.0, 1.0)
+    grain = tree.nodes.new("ShaderNodeTexNoise")
+    grain.inputs["Scale"].default_value = 2.5
+    grain.inputs["Detail"].default_value = 6.0
+    grain.inputs["Distortion"].default_value = 0.6
+    tint = tree.nodes.new("ShaderNodeValToRGB")
+    tint.color_ramp.elements[0].position, tint.color_ramp.elements[1].position = 0.30, 0.72
+    tint.color_ramp.elements[0].color = (0.50, 0.30, 0.145, 1.0)
+    tint.color_ramp.elements[1].color = (0.68, 0.47, 0.27, 1.0)
+    shader = tree.nodes["Principled BSDF"]
+    tree.links.new(place.outputs["Object"], stretch.inputs["Vector"])
+    tree.links.new(stretch.outputs["Vector"], grain.inputs["Vector"])
+    tree.links.new(grain.outputs[0], tint.inputs["Fac"])
+    tree.links.new(tint.outputs["Color"], shader.inputs["Base Color"])
+    top.data.materials.append(material)
     make_collider(top, "PLANE", 0.6)
 
 
 def _add_lights(context: bpy.types.Context) -> None:
     for name, place, energy, size, color in (
-        ("Window", (-0.55, 0.35, 0.75), 9.0, 0.5, (1.0, 0.86, 0.70)),
-        ("Room", (0.70, -0.35, 0.60), 2.5, 0.8, (0.80, 0.88, 1.0)),
+        ("Window", (-0.55, -0.05, 0.62), 7.5, 0.35, (1.0, 0.84, 0.66)),
+        ("Lamp", (0.45, 0.55, 0.60), 4.0, 0.30, (1.0, 0.90, 0.78)),
     ):
         light = bpy.data.lights.new(name, "AREA")
         light.energy, light.size, light.color = energy, size, color
@@ -393,10 +475,11 @@ def _add_lights(context: bpy.types.Context) -> None:
         item.rotation_euler = (-Vector(place)).to_track_quat("-Z", "Y").to_euler()
         context.collection.objects.link(item)
     world = bpy.data.worlds.new("Room")
-    world.use_nodes = True
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
     background = world.node_tree.nodes["Background"]
-    background.inputs["Color"].default_value = (0.75, 0.80, 0.90, 1.0)
-    background.inputs["Strength"].default_value = 0.25
+    background.inputs["Color"].default_value = (0.80, 0.86, 1.0, 1.0)
+    background.inputs["Strength"].default_value = 0.22
     context.scene.world = world
 
 
@@ -404,8 +487,19 @@ def _add_camera(context: bpy.types.Context) -> None:
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 50.0
     item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.0, -0.42, 0.36)
-    target = Vector((0.0, 0.005, 0.012))
+    item.location = (0.012, -0.425, 0.285)
+    target = Vector((0.010, 0.012, 0.016))
     item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
     context.collection.objects.link(item)
     context.scene.camera = item
+
+
+def _set_render(scene: bpy.types.Scene) -> None:
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x, scene.render.resolution_y = 1080, 720
+    scene.cycles.samples = 64
+    scene.cycles.use_denoising = True
+    scene.cycles.max_bounces = 5
+    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
+    scene.view_settings.view_transform = "AgX"
+    scene.view_settings.look = "AgX - Medium High Contrast"

@@ -2,6 +2,7 @@
 """The generated hand: closed, of human proportions, and true to its joints."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from tactile_clay.solver.hand_mesh import (
 )
 
 
-def mesh_of(**options: object) -> trimesh.Trimesh:
+def mesh_of(**options: Any) -> trimesh.Trimesh:
     vertices, faces = hand_mesh(**options)
     return trimesh.Trimesh(vertices, faces, process=False)
 

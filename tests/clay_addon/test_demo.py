@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The demonstration, made short: every file is there and says what it should."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+bpy = pytest.importorskip("bpy")
+
+from tactile_clay.clay_addon import demo  # noqa: E402
+
+DEMO = """
+import os, sys
+from tactile_clay.clay_addon import demo
+code = demo.main(sys.argv[1:])
+sys.stdout.flush()
+os._exit(code)
+"""
+
+PLAYBACK = """
+import os, sys
+import bpy
+import numpy as np
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+assert not hasattr(bpy.types.Scene, "tactile_clay")
+scene = bpy.context.scene
+clay = bpy.data.objects["Modelling clay"]
+shapes = []
+for frame in (scene.frame_start, scene.frame_end):
+    scene.frame_set(frame)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    mesh = next(
+        item.object.data
+        for item in depsgraph.object_instances
+        if item.object.type == "MESH" and item.object.name == clay.name
+    )
+    assert len(mesh.polygons) > 1000
+    shapes.append([corner for vertex in mesh.vertices for corner in vertex.co])
+print("frames", scene.frame_start, scene.frame_end, scene.render.fps, shapes[0] != shapes[1])
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def run(code: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=400
+    )
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    output = tmp_path_factory.mktemp("demo") / "made by the demo"
+    words = ("--output", str(output), "--frames", "4", "--width", "48", "--samples", "1")
+    return output, run(DEMO, *words)
+
+
+def test_everything_is_made_and_said(
+    made: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """Leave all files, and name each of them in the end."""
+    output, result = made
+    assert result.returncode == 0, result.stderr
+    for suffix in (".blend", ".stl", ".ply", ".glb", ".png"):
+        path = output / f"kindergarten{suffix}"
+        assert path.stat().st_size > 1000
+        assert str(path) in result.stdout
+    assert "Simulating, frame 4 of 4" in result.stderr
+    assert "left" in result.stderr
+    assert "Warp" not in result.stdout + result.stderr
+
+
+def test_report_has_the_figures(made: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    """Report particles, frames, device, settings, pace and errors."""
+    report = json.loads((made[0] / "report.json").read_text(encoding="utf-8"))
+    assert report["particles"] == 2114
+    assert report["frames"] == 4
+    assert report["device"]
+    assert report["settings"]["model"]
+    pace = report["milliseconds_a_frame"]
+    assert 0.0 < pace["median"] <= pace["percentile_90"]
+    assert abs(report["volume_error"]) < 0.05
+    assert abs(report["volume_error_of_exported_mesh"]) < 0.01
+    assert 0.0 <= report["largest_penetration_m"] < 0.0025
+    assert report["versions"]["warp"]
+
+
+def test_exported_meshes_are_closed_and_colored(
+    made: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """Write the same closed surface in each format, colours where the format has them."""
+    for suffix in demo.EXPORTS:
+        mesh = trimesh.load(made[0] / f"kindergarten{suffix}", force="mesh")
+        mesh.merge_vertices(merge_norm=True, merge_tex=True)
+        assert mesh.is_watertight, suffix
+        assert mesh.volume == pytest.approx(2114 * 0.005**3, rel=0.01)
+    colors = trimesh.load(made[0] / "kindergarten.ply").visual.vertex_colors
+    assert len(np.unique(colors // 64, axis=0)) >= 5
+
+
+def test_blend_plays_without_the_extension(
+    made: tuple[Path, subprocess.CompletedProcess[str]],
+) -> None:
+    """Open the .blend where the extension is not registered: the clay is there, and moves."""
+    result = run(PLAYBACK, str(made[0] / "kindergarten.blend"))
+    assert "frames 1 4 60 True" in result.stdout, result.stdout + result.stderr
+
+
+def test_sheet_puts_panels_in_reading_order() -> None:
+    """Put the first picture at the top left and the last at the bottom right."""
+    panels = [np.full((30, 40, 4), value, np.float32) for value in (0.1, 0.2, 0.3, 0.4)]
+    sheet = demo._side_by_side(panels)
+    assert sheet.shape == (66, 86, 4)
+    corners = sheet[[3, 3, -4, -4], [3, -4, 3, -4], 0]
+    np.testing.assert_allclose(corners, (0.1, 0.2, 0.3, 0.4))
+    assert sheet[0, 0, 0] > 0.9
+
+
+def test_moments_begin_with_the_untouched_clay_and_end_with_the_last_frame() -> None:
+    """Show frames in order, the last one included."""
+    moments = demo._moments(120)
+    assert moments == sorted(set(moments)) and moments[-1] == 120
+    assert min(demo._moments(2)) >= 1
+
+
+@pytest.mark.parametrize("words", [["--frames", "1"], ["--frames", "999"], ["--width", "2"]])
+def test_wrong_words_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Return 2 and say what is allowed."""
+    assert demo.main(words) == 2
+    assert "must be" in capsys.readouterr().err
+
+
+def test_output_that_cannot_be_written_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Return 1 and name the folder when a file is in its place."""
+    (tmp_path / "taken").write_text("")
+    assert demo.main(["--output", str(tmp_path / "taken")]) == 1
+    assert "taken" in capsys.readouterr().err
