@@ -225,9 +225,7 @@ _PINCHED = replace(
     ring=(4.0, -10.0, 62.0, 34.0),
     little=(9.0, -10.0, 58.0, 34.0),
 )
-_OPEN = replace(
-    _PINCHED, index=(-6.0, 25.0, 52.0, 27.0), thumb=(14.0, 13.0, 50.0, 0.0, 0.0)
-)
+_OPEN = replace(_PINCHED, index=(-6.0, 25.0, 52.0, 27.0), thumb=(14.0, 13.0, 50.0, 0.0, 0.0))
 
 _KNUCKLES = ("index_proximal", "middle_proximal", "ring_proximal", "middle_intermediate")
 _FINGERTIPS = ("thumb_tip", "index_tip")
@@ -374,7 +372,8 @@ def _hand_material() -> bpy.types.Material:
 
 def _add_table(context: bpy.types.Context) -> None:
     top = _mesh_object(
-        "Table", np.array([(x, y, 0) for x, y in ((-9, -9), (9, -9), (9, 9), (-9, 9))]) / 20,
+        "Table",
+        np.array([(x, y, 0) for x, y in ((-9, -9), (9, -9), (9, 9), (-9, 9))]) / 20,
         [(0, 1, 2, 3)],
     )
     top.data.materials.append(_material("Table", (0.62, 0.45, 0.28), 0.45))
