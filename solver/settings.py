@@ -18,7 +18,7 @@ class Settings:
 
     substeps: int = 4
     """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more."""
-    iterations: int = 6
+    iterations: int = 4
     """Conjugate-gradient iterations in each of a substep's two Newton steps."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
