@@ -35,10 +35,10 @@ PANEL_GAP_COLOR = (0.96, 0.94, 0.90, 1.0)
 _STAGE_SECONDS = {
     "Loading kernels": 8.0,
     "Building the scene": 6.0,
-    "Simulating": 35.0,
+    "Simulating": 20.0,
     "Packing": 2.0,
     "Exporting": 3.0,
-    "Rendering": 55.0,
+    "Rendering": 75.0,
 }
 
 
@@ -101,7 +101,7 @@ def _parse(argv: Sequence[str]) -> _Options:
     parser.add_argument("--output", type=Path, default=Path("build/demo"), help="where it goes")
     parser.add_argument("--frames", type=int, default=FRAME_COUNT, help="frames to simulate")
     parser.add_argument("--width", type=int, default=720, help="width of one picture [pixels]")
-    parser.add_argument("--samples", type=int, default=20, help="samples a pixel")
+    parser.add_argument("--samples", type=int, default=16, help="samples a pixel")
     words = parser.parse_args(list(argv))
     if not 2 <= words.frames <= FRAME_COUNT:
         parser.error(f"--frames must be 2 to {FRAME_COUNT}.")

@@ -111,6 +111,7 @@ def build(context: bpy.types.Context) -> Kindergarten:
     _add_lights(context)
     _add_camera(context)
     _set_render(scene)
+    _look_through_camera()
     return Kindergarten(clay, pieces, hands)
 
 
@@ -503,3 +504,13 @@ def _set_render(scene: bpy.types.Scene) -> None:
     scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
     scene.view_settings.view_transform = "AgX"
     scene.view_settings.look = "AgX - Medium High Contrast"
+
+
+def _look_through_camera() -> None:
+    """Let whoever opens the file see the table, in colour."""
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            for space in area.spaces:
+                if space.type == "VIEW_3D":
+                    space.region_3d.view_perspective = "CAMERA"
+                    space.shading.type = "MATERIAL"
