@@ -9,8 +9,11 @@ chapter 3), and once more at the end of each solve: then no net impulse is left 
 so momentum is kept and a block at rest weighs exactly what it should.
 """
 
+import itertools
+
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from .pair_rows import PairRows, pair_direction
 from .pairs import Pairs
@@ -98,12 +101,17 @@ def restrict(
 
 @wp.kernel(enable_backward=False)
 def apply_inverse(
-    inverse: wp.array2d[float], sums: wp.array[float], modes: wp.array[float]
+    inverse: wp.array2d[float],
+    first: wp.array[int],
+    last: wp.array[int],
+    sums: wp.array[float],
+    modes: wp.array[float],
 ) -> None:
-    """Multiply by the inverse of the coarse matrix."""
+    """Multiply by the inverse of the coarse matrix, block by block."""
     row = wp.tid()
+    cell = row // MODES
     total = float(0.0)
-    for column in range(sums.shape[0]):
+    for column in range(MODES * first[cell], MODES * last[cell]):
         total += inverse[row, column] * sums[column]
     modes[row] = total
 
@@ -136,6 +144,9 @@ class CoarseSpace:
     def _resize(self, cells: int) -> None:
         size = MODES * cells
         self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
+        self.first = wp.zeros(cells, dtype=int, device=self.device)
+        self.last = wp.zeros(cells, dtype=int, device=self.device)
+        self.blocks: list[tuple[int, int]] = []
         self.matrix = wp.zeros((size, size), dtype=float, device=self.device)
         self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
         self.sums = wp.zeros(size, dtype=float, device=self.device)
@@ -151,20 +162,37 @@ class CoarseSpace:
             place = np.minimum((points - low) / np.maximum(extent / counts, 1e-30), counts - 1)
             whole = place.astype(np.int64)
             key = (whole[:, 0] * int(counts[1]) + whole[:, 1]) * int(counts[2]) + whole[:, 2]
-            _, cell = np.unique(key, return_inverse=True)
-            cell = cell.reshape(-1)
-            cells = int(cell.max()) + 1
+            _, occupant, cell = np.unique(key, return_index=True, return_inverse=True)
+            cells = len(occupant)
             if cells <= MOST_CELLS:
                 break
             edge *= 1.25
-        room = 1 << (cells - 1).bit_length()
-        if room != self.center.shape[0]:
-            self._resize(room)
+        group = _touching_groups(whole[occupant])
+        order = np.argsort(group, kind="stable")
+        number = np.empty(cells, np.int64)
+        number[order] = np.arange(cells)
+        cell = number[cell.reshape(-1)]
+        starts = np.searchsorted(group[order], np.unique(group))
+        self._place_blocks(cells, [*starts.tolist(), cells])
+        room = self.center.shape[0]
         sizes = np.bincount(cell, minlength=cells)
         center = np.zeros((room, 3), np.float32)
         center[:cells] = np.stack([np.bincount(cell, axis, cells) / sizes for axis in points.T], 1)
         self.cell.assign(cell.astype(np.int32))
         self.center.assign(center)
+
+    def _place_blocks(self, cells: int, bounds: list[int]) -> None:
+        """Note which cells touch each other, directly or through others: only those couple."""
+        room = 1 << (cells - 1).bit_length()
+        if room != self.center.shape[0]:
+            self._resize(room)
+        first = np.zeros(room, np.int32)
+        last = np.zeros(room, np.int32)
+        self.blocks = list(itertools.pairwise(bounds))
+        for begin, end in self.blocks:
+            first[begin:end], last[begin:end] = begin, end
+        self.first.assign(first)
+        self.last.assign(last)
 
     def assemble(self, position: wp.array, own_block: wp.array, pairs: Pairs) -> None:
         """Sum the coarse matrix.
@@ -195,12 +223,17 @@ class CoarseSpace:
         Args:
             least_mass: A particle's mass [kg], to weigh modes that nothing holds.
         """
-        matrix = self.matrix.numpy().astype(np.float64)
-        matrix = 0.5 * (matrix + matrix.T)
-        # Cells of one or two particles cannot turn; a little inertia keeps their modes quiet.
-        ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, len(matrix) // MODES)
-        matrix[np.diag_indices_from(matrix)] += ridge * least_mass
-        self.inverse.assign(np.linalg.inv(matrix).astype(np.float32))
+        matrix = self.matrix.numpy()
+        inverse = np.zeros_like(matrix)
+        for begin, end in self.blocks:
+            part = slice(MODES * begin, MODES * end)
+            block = matrix[part, part].astype(np.float64)
+            block = 0.5 * (block + block.T)
+            # Cells of one or two particles cannot turn; a little inertia keeps them quiet.
+            ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, end - begin)
+            block[np.diag_indices_from(block)] += ridge * least_mass
+            inverse[part, part] = np.linalg.inv(block)
+        self.inverse.assign(inverse)
 
     def solve(self, position: wp.array, residual: wp.array) -> None:
         """Find the cells' motions for a residual; `prolong` hands them to particles."""
@@ -214,6 +247,21 @@ class CoarseSpace:
         wp.launch(
             apply_inverse,
             dim=self.sums.shape[0],
-            inputs=[self.inverse, self.sums, self.modes],
+            inputs=[self.inverse, self.first, self.last, self.sums, self.modes],
             device=self.device,
         )
+
+
+def _touching_groups(places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number for each group of grid cells that touch, also at an edge or a corner.
+
+    Args:
+        places: Whole grid coordinates of the cells, shape [C, 3].
+    """
+    touch = (np.abs(places[:, None] - places[None]) <= 1).all(2)
+    group = np.arange(len(places))
+    while True:
+        lowest = np.where(touch, group[None], len(places)).min(1)
+        if np.array_equal(lowest, group):
+            return group
+        group = lowest
