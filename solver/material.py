@@ -15,8 +15,7 @@ _PRESET_FOLDER = Path(__file__).resolve().parent.parent / "presets" / "materials
 class Material:
     """An elastoplastic, viscous, frictional clay.
 
-    The values mean the same at every particle spacing and time step, as far as the solver
-    can carry them: see the *Limitations* of `Solver`.
+    How far the solver carries these values is said in the *Limitations* of `Solver`.
 
     Raises:
         ValueError: A value is not finite or lies outside its range; the message names it.
@@ -31,7 +30,7 @@ class Material:
     shear_modulus: float = 1e5
     """Elastic shear modulus below the yield stress [Pa]."""
     friction: float = 0.5
-    """Coulomb friction coefficient on colliders; each contact takes the mean of the two."""
+    """Coulomb friction coefficient; a contact takes the geometric mean of clay and collider."""
     cohesion: float | None = None
     """Tension [Pa] at which bonds give way and draw out; the yield stress where not given,
     0 for a material that falls apart like sand."""

@@ -24,7 +24,7 @@ from .slump import slump
 from .standing import GRAVITY, stand
 
 SUBSTEPS = (2, 4, 8)
-ITERATIONS = (3, 6, 12)
+ITERATIONS = (2, 4, 8)
 
 
 @dataclass(frozen=True)
