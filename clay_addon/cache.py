@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -173,7 +173,12 @@ class Cache:
 
     def size(self) -> int:
         """Bytes on the disk."""
-        return sum(path.stat().st_size for path in self._own_files())
+        size = 0
+        for path in self._own_files():
+            # Another process may be baking: its temporary files come and go.
+            with suppress(FileNotFoundError):
+                size += path.stat().st_size
+        return size
 
     def frame_path(self, number: int) -> Path:
         """The file of one frame."""
@@ -207,10 +212,11 @@ class Cache:
         """Start a bake afresh: remove what an earlier one left and write what this one is.
 
         Raises:
-            CacheError: The folder cannot be written to.
+            CacheError: The folder cannot be written to, or its meta.json is of something else.
         """
         self.prepare()
-        self._remove(keep_folder=True)
+        self._check_own()
+        self._remove()
         write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
         self.write_meta(meta)
 
@@ -252,25 +258,24 @@ class Cache:
         write_arrays(path, {**snapshot, "clay_cache_bake": bake})
         return path.stat().st_size
 
-    def remove_checkpoint(self, number: int) -> None:
-        """Remove one checkpoint, if it is there."""
-        self._checkpoint_path(number).unlink(missing_ok=True)
-
     def free(self) -> int:
         """Remove the bake and return how many bytes that freed.
 
         Only files a cache writes are removed, and the folder if nothing else is in it.
 
         Raises:
-            CacheError: A file cannot be removed.
+            CacheError: A file cannot be removed, another process is baking there, or meta.json is
+                of something else.
         """
+        self._check_own()
         size = self.size()
-        try:
-            self._remove(keep_folder=False)
-        except OSError as error:
-            raise CacheError(
-                f"The cache folder {self.directory} cannot be emptied ({error.strerror})."
-            ) from error
+        if self._own_files():
+            with self.locked():
+                self._remove()
+        # A lock file that cannot be removed does no harm, nor does an empty folder.
+        with suppress(OSError):
+            (self.directory / _LOCK).unlink(missing_ok=True)
+            self.directory.rmdir()
         return size
 
     @contextmanager
@@ -280,12 +285,16 @@ class Cache:
         The system takes the lock away with the process, so one that was killed leaves none.
 
         Raises:
-            CacheError: Another process is baking there.
+            CacheError: Another process is baking there, or the lock file cannot be made.
         """
         path = self.directory / _LOCK
-        with path.open("a+b") as file:
+        try:
+            lock = path.open("a+b")
+        except OSError as error:
+            raise CacheError(f"{path} cannot be written ({error.strerror}). Remove it.") from error
+        with lock:
             try:
-                lock_file(file.fileno())
+                lock_file(lock.fileno())
             except BlockingIOError:
                 raise CacheError(
                     f"Another process is baking into {self.directory}. Wait for it, or choose "
@@ -321,11 +330,27 @@ class Cache:
             or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, _TEMPORARY))
         ]
 
-    def _remove(self, *, keep_folder: bool) -> None:
+    def _check_own(self) -> None:
+        """Refuse a folder whose only sign of a bake is a meta.json that no bake wrote."""
+        try:
+            self.meta()
+        except CacheMissingError:
+            return
+        except CacheDamagedError as error:
+            if {path.name for path in self._own_files()} <= {"meta.json", _LOCK}:
+                raise CacheError(
+                    f"{self._meta_path} is not of a bake ({error}). Choose another cache folder, "
+                    "so that it is not lost."
+                ) from error
+
+    def _remove(self) -> None:
+        """Remove all but the lock, which the caller holds."""
         # The frames go first: while meta.json is there, an interrupted removal still reads as a
         # bake with missing frames.
         for path in sorted(self._own_files(), key=lambda path: path.name == "meta.json"):
-            if path.name != _LOCK or not keep_folder:
+            if path.name == _LOCK:
+                continue
+            try:
                 path.unlink(missing_ok=True)
-        if not keep_folder and self.directory.is_dir() and not any(self.directory.iterdir()):
-            self.directory.rmdir()
+            except OSError as error:
+                raise CacheError(f"{path} cannot be removed ({error.strerror}).") from error

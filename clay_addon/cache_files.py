@@ -9,6 +9,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -55,8 +56,11 @@ def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, N
             return {name: archive[name] for name in names or archive.files}
     except FileNotFoundError:
         raise CacheMissingError(f"{path.name} is missing") from None
+    except OSError as error:
+        raise CacheDamagedError(
+            f"{path.name} cannot be read ({error.strerror or error})"
+        ) from error
     except (
-        OSError,
         ValueError,
         KeyError,
         EOFError,
@@ -70,24 +74,20 @@ def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, N
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise CacheDamagedError(f"{path.name} is damaged ({error})") from error
+        # numpy's own words advise to unpickle what may be harmful.
+        raise CacheDamagedError(f"{path.name} is damaged") from error
 
 
 def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write an .npz file whole or not at all."""
     # numpy stamps every entry with the same date, so equal arrays make equal bytes.
     write_whole(path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file so that it is there whole or not at all, whatever happens on the way."""
-    temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"
     try:
-        with temporary.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        _sync_folder(path.parent)
+        replace_file(path, path.parent / f".clay-{os.getpid()}-{path.stem}.tmp", write)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = (
@@ -97,16 +97,35 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         else:
             message = f"{path} could not be written ({error.strerror or error})."
         raise CacheError(message) from error
+
+
+def replace_file(path: Path, temporary: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file under a temporary name in the same folder, then rename it.
+
+    Raises:
+        OSError: It cannot be written. A file that was there is as it was.
+    """
+    try:
+        with temporary.open("wb") as file:
+            write(file)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        _sync_folder(path.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        # A file system that takes no file refuses to remove one too, also one that is not there.
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
     """Make a rename last through a power cut, where the system can do that."""
     if os.name != "posix":
         return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    # Some network file systems cannot; the file is there all the same.
+    with suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -81,7 +81,8 @@ class Meta:
         version = table.get("format_version")
         if version != FORMAT_VERSION:
             raise CacheDamagedError(
-                f"the cache has format {version!r}, this add-on reads {FORMAT_VERSION}; bake again"
+                f"meta.json has format {version!r}, and this version of the add-on reads format "
+                f"{FORMAT_VERSION}"
             )
         try:
             clay = tuple(

@@ -22,6 +22,7 @@ import numpy as np
 from bpy_extras.io_utils import ExportHelper
 from numpy.typing import NDArray
 
+from .cache_files import replace_file
 from .surface import Surface, SurfaceError, reconstruct
 
 SUFFIXES = (".stl", ".obj", ".ply", ".glb")
@@ -276,11 +277,7 @@ def _eight_bits(colors: NDArray[np.float32]) -> NDArray[np.uint8]:
 def _write_whole(path: Path, content: bytes) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        replace_file(path, temporary, lambda file: file.write(content))
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise ExportError(
@@ -291,8 +288,6 @@ def _write_whole(path: Path, content: bytes) -> None:
             f"{path} could not be written ({error.strerror or error}). Choose another folder, or"
             " change its permissions."
         ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
@@ -328,11 +323,17 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Export, or report why not."""
+        from .playback import message
         from .simulation import clay_objects
 
         clay = clay_objects(context.scene)
         if self.use_selection:
             clay = [item for item in clay if item in context.selected_objects]
+            if not clay:
+                self.report({"ERROR"}, "No clay is selected.")
+                return {"CANCELLED"}
+        if message(context.scene):
+            self.report({"WARNING"}, message(context.scene))
         window = None if bpy.app.background else context.window
         if window:
             window.cursor_modal_set("WAIT")

@@ -326,3 +326,53 @@ def test_cache_needs_no_blender() -> None:
     """Read a cache from scripts that have no bpy."""
     source = "import sys; sys.modules['bpy'] = None; import tactile_clay.clay_addon.cache"
     subprocess.run([sys.executable, "-c", source], check=True)
+
+
+def test_foreign_meta_is_left_alone(tmp_path: Path) -> None:
+    """Neither bake over a meta.json that no bake wrote nor remove it."""
+    path = tmp_path / "meta.json"
+    path.write_text('{"model": "mine"}')
+    for work in (lambda: Cache(tmp_path).begin(META, np.ones((5, 4))), Cache(tmp_path).free):
+        with pytest.raises(CacheError, match=r"meta\.json is not of a bake.*another cache folder"):
+            work()
+    assert list(tmp_path.iterdir()) == [path]
+    assert path.read_text() == '{"model": "mine"}'
+
+
+def test_damaged_meta_of_a_bake_is_baked_over(cache: Cache) -> None:
+    """Start afresh where the frames show that a bake was there."""
+    (cache.directory / "meta.json").write_text("garbage")
+    cache.begin(META, np.ones((5, 4)))
+    assert (cache.meta(), cache.frames()) == (META, [])
+
+
+def test_bake_is_not_freed_while_another_process_bakes(cache: Cache) -> None:
+    """Leave the frames of a bake that runs."""
+    with cache.locked(), pytest.raises(CacheError, match="Another process"):
+        Cache(cache.directory).free()
+    assert cache.frames() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("name", ["clay.lock", "frame_000004.npz"])
+def test_folder_in_the_place_of_a_file_is_said(cache: Cache, name: str) -> None:
+    """Name what is in the way, whatever is done to the cache."""
+    (cache.directory / name).mkdir()
+    with pytest.raises(CacheError, match=name):
+        cache.free()
+    with pytest.raises(CacheError, match=name), cache.locked():
+        cache.begin(META, np.ones((5, 4)))
+
+
+def test_size_can_be_told_while_files_go(cache: Cache, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count what is there while another process renames its files."""
+    gone = cache.directory / ".clay-1-frame_000009.tmp"
+    size = cache.size()
+    monkeypatch.setattr(cache, "_own_files", lambda: [gone, *Cache._own_files(cache)])
+    assert cache.size() == size
+
+
+def test_damaged_frame_is_called_that_and_no_more(cache: Cache) -> None:
+    """Pass on no advice to unpickle a file of unknown content."""
+    cache.frame_path(2).write_bytes(b"x")
+    with pytest.raises(CacheDamagedError, match=r"^frame_000002\.npz is damaged$"):
+        cache.read_frame(2)

@@ -18,6 +18,8 @@ import trimesh
 from trimesh.exchange.gltf import load_glb
 
 from tactile_clay.clay_addon import export
+from tactile_clay.clay_addon.bake import bake
+from tactile_clay.clay_addon.cache import Cache
 from tactile_clay.clay_addon.export import ExportError, check_target, export_clay, write_mesh
 from tactile_clay.clay_addon.surface import Surface, reconstruct
 
@@ -328,7 +330,7 @@ def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
         bpy.ops.clay.export, filepath=str(tmp_path / "clay.abc")
     )
     studio.select()
-    assert "no clay" in studio.refused(
+    assert "No clay is selected" in studio.refused(
         bpy.ops.clay.export, filepath=str(tmp_path / "clay.stl"), use_selection=True
     )
     clay.data.attributes["position"].data[3].vector = (float("nan"), 0, 0)
@@ -357,3 +359,30 @@ def test_missing_library_is_said(
     with pytest.raises(ExportError, match=f"{name} is missing"):
         export_clay(bpy.context, tmp_path / "clay.stl")
     assert not list(tmp_path.iterdir())
+
+
+def test_operator_warns_where_the_frame_is_not_shown(
+    studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Export what is seen, and say that it is not the baked frame."""
+    studio.falling_block(tmp_path, end=2)
+    cache = Cache(bake(bpy.context).directory)
+    cache.frame_path(2).write_bytes(b"")
+    studio.scene.frame_set(2)
+    capfd.readouterr()
+    assert bpy.ops.clay.export(filepath=str(tmp_path / "clay.stl")) == {"FINISHED"}
+    assert "Warning: Frame 2: frame_000002.npz is damaged" in capfd.readouterr().out
+
+
+def test_file_system_that_takes_no_file_is_said(
+    surface: Surface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Say so also where the system refuses to remove what could not be written."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(ExportError, match="Read-only file system"):
+        write_mesh(surface, tmp_path / "clay.stl")
