@@ -180,6 +180,8 @@ def bake_steps(
     if end < start:
         raise BakeError(f"The range ends (frame {end}) before it starts (frame {start}).")
     cache = Cache(resolve_directory(scene, directory))
+    # Take up what was done to the points since the last change of frame.
+    refresh(scene)
     previous = scene.frame_current, scene.frame_subframe
     tally = _Tally()
     cancelled = False
@@ -273,7 +275,7 @@ def _simulate(
     simulation.start(depsgraph, device)
     assert simulation.solver is not None
     last = missing[-1]
-    total = last + 1 - meta.start
+    total = len(known) + len(missing)
     at = restore_checkpoint(simulation, cache, meta, missing[0])
     checkpoints = Checkpoints(simulation, cache, meta, at)
     if missing[0] == meta.start:

@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 from .cache import Cache, CacheDamagedError, CacheError, Frame, Meta
-from .simulation import Simulation, SimulationError, scene_digests
+from .simulation import Simulation
 
 
 class BakeError(Exception):
@@ -21,7 +21,9 @@ class BakeStaleError(BakeError):
     """The scene is no longer what the bake was made from."""
 
 
-def resolve_directory(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None) -> Path:
+def resolve_directory(
+    scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None
+) -> Path:
     """The cache folder as an absolute path.
 
     Args:
@@ -29,7 +31,8 @@ def resolve_directory(scene: bpy.types.Scene, directory: str | os.PathLike[str] 
         directory: A path; one that starts with ``//`` is beside the .blend.
 
     Raises:
-        BakeError: The folder is relative to a .blend that was never saved, or no folder is set.
+        BakeError: No folder is set, or it is relative to a .blend that was never saved, or to
+            nothing at all.
     """
     text = os.fspath(directory) if directory is not None else scene.tactile_clay.cache_directory
     if not text:
@@ -39,7 +42,13 @@ def resolve_directory(scene: bpy.types.Scene, directory: str | os.PathLike[str] 
             "The .blend was never saved, and its bake goes into a folder beside it. Save the file "
             "first, or set an absolute cache folder."
         )
-    return Path(bpy.path.abspath(text)).absolute()
+    path = Path(bpy.path.abspath(text))
+    if directory is None and not path.is_absolute():
+        raise BakeError(
+            f"The cache folder {text!r} is beside nothing known. Begin it with // for a folder "
+            "beside the .blend, or give the whole path."
+        )
+    return path.absolute()
 
 
 def owner_of(scene: bpy.types.Scene, cache: Cache) -> str:
@@ -87,7 +96,7 @@ def check_resume(
         else:
             change = compare(scene, simulation, cache, meta.settings)
     except CacheDamagedError as error:
-        change = f"its meta.json is damaged ({error})"
+        change = f"it cannot be used ({error})"
     if change:
         raise BakeStaleError(
             f"The bake in {cache.directory} is stale: {change}. Bake again to start over, or undo "
@@ -122,11 +131,3 @@ def compare(
 def changed_subjects(meta: Meta, digests: Mapping[str, str]) -> list[str]:
     """Subjects whose digest differs from what the bake was made with."""
     return [name for name, value in digests.items() if meta.settings.get(name) != value]
-
-
-def changes_at_a_glance(scene: bpy.types.Scene, meta: Meta) -> list[str]:
-    """What can be told to have changed without evaluating the colliders, quickly enough to draw."""
-    try:
-        return changed_subjects(meta, scene_digests(scene))
-    except SimulationError as error:
-        return [str(error)]

@@ -55,6 +55,21 @@ def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float6
     return moved
 
 
+def local_from_world(item: bpy.types.Object) -> NDArray[np.float64]:
+    """The 4×4 matrix that brings world positions into an object's coordinates.
+
+    Raises:
+        ValueError: The object's transform cannot be undone.
+    """
+    matrix = np.array(item.matrix_world, np.float64)
+    if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise ValueError(
+            f"{item.name!r} is scaled to nothing or its transform is not finite. Clear its "
+            "transform"
+        )
+    return np.linalg.inv(matrix)
+
+
 def turn_for(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
     """The triangles, wound the other way round where the matrix mirrors."""
     if np.linalg.det(np.asarray(matrix, np.float64)[:3, :3]) < 0:

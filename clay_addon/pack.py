@@ -61,8 +61,8 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike]) -> None:
             number, without gaps.
 
     Raises:
-        PackError: if the object is no point cloud, or frames are missing, of the wrong shape, or
-            not finite.
+        PackError: if the object is no point cloud or linked from another file, or frames are
+            missing, of the wrong shape, or not finite.
     """
     checked = _checked_frames(clay, frames)
     _remove_attributes(clay)
@@ -128,8 +128,8 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         PackError: if there is no clay, no bake, a bake of other clay, or a missing frame.
         CacheError: if the cache cannot be read.
     """
-    from .mesh_geometry import transform
-    from .playback import cache_of
+    from .mesh_geometry import local_from_world, transform
+    from .playback import cache_of, is_bake_of
     from .simulation import clay_objects
 
     clay = clay_objects(scene)
@@ -140,10 +140,12 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     if cache is None or not numbers:
         raise PackError("There is no bake to pack. Bake first.")
     meta = cache.meta()
-    expected = [(part.name, part.count) for part in meta.clay]
-    if expected != [(item.name, len(item.data.points)) for item in clay]:
+    if not is_bake_of(meta, clay):
         raise PackError("The bake is of other clay than the scene has now. Bake again.")
-    inverse = [np.linalg.inv(np.array(item.matrix_world, np.float64)) for item in clay]
+    try:
+        inverse = [local_from_world(item) for item in clay]
+    except ValueError as error:
+        raise PackError(f"{error}.") from error
     splits = np.cumsum([part.count for part in meta.clay])[:-1]
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
     for number in numbers:
@@ -166,6 +168,11 @@ def _checked_frames(
 ) -> dict[int, NDArray[np.float32]]:
     if clay.type != "POINTCLOUD":
         raise PackError(f"{clay.name!r} is a {clay.type.lower()}, not a point cloud of clay.")
+    if clay.library is not None or clay.data.library is not None:
+        raise PackError(
+            f"{clay.name!r} is linked from another file, so frames packed here would be lost. Pack "
+            "it there, or make it local first (Object > Relations > Make Local)."
+        )
     if not frames:
         raise PackError("There are no frames to pack.")
     first, last = min(frames), max(frames)

@@ -8,13 +8,13 @@ import time
 import bpy
 
 from . import bake_operators, playback
-from .bake_checks import changes_at_a_glance
+from .bake_checks import BakeError, changed_subjects, resolve_directory
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
 from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
-from .simulation import clay_objects, collider_objects
+from .simulation import SimulationError, clay_objects, collider_objects, scene_digests
 
 _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
@@ -46,7 +46,8 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         column.prop(scene.tactile_clay, "spacing")
         column.prop(scene.tactile_clay, "material_preset")
         column.operator("clay.make", icon="META_BALL")
-        if item is None or item.tactile_clay.role != "CLAY":
+        # Convert turns clay into a mesh and leaves its role.
+        if item is None or item.tactile_clay.role != "CLAY" or item.type != "POINTCLOUD":
             if not clay_objects(scene):
                 draw_text(layout, "Select one or more closed meshes, then Make Clay.", icon="INFO")
             return
@@ -127,13 +128,10 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
         row.operator("clay.bake", icon="PHYSICS")
         row.operator("clay.resume", icon="PLAY")
         row.operator("clay.free", icon="TRASH")
-        cache = playback.cache_of(scene)
-        if cache is None:
-            draw_text(
-                layout,
-                "Save the .blend first: the bake goes into a folder beside it.",
-                icon="INFO",
-            )
+        try:
+            cache = Cache(resolve_directory(scene))
+        except BakeError as error:
+            draw_text(layout, str(error), icon="INFO")
             return
         state, warning = cache_state(scene, cache)
         draw_text(layout, state, icon="INFO")
@@ -178,13 +176,16 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
             f"{len(inside)} of {end + 1 - start} frames baked, {size_text(cache.size())} on disk."
         )
         try:
-            changed = changes_at_a_glance(scene, cache.meta())
+            # Colliders are not looked at: evaluating them takes too long for a panel.
+            changed = changed_subjects(cache.meta(), scene_digests(scene))
             if changed:
                 warning = (
                     f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."
                 )
         except CacheError as error:
             warning = f"The cache cannot be used: {error}. Bake again."
+        except SimulationError as error:
+            warning = str(error)
     _glance[scene.name] = (time.monotonic(), state, warning)
     return state, warning
 

@@ -12,22 +12,26 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from .cache import Cache, CacheError, CacheMissingError, Meta
-from .mesh_geometry import transform
+from .bake_checks import BakeError, resolve_directory
+from .cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
+from .mesh_geometry import local_from_world, transform
 from .pack import is_packed
-from .simulation import clay_objects, read_points
+from .simulation import SimulationError, clay_digest, clay_objects, read_points
 
+_BAKED_MARK = "clay_baked"
+"""Custom property of points that are in a baked frame. It stands beside them, not on the object,
+so that Undo brings back both or neither."""
 _messages: dict[str, str] = {}
 _metas: dict[Path, tuple[int, Meta]] = {}
 _pauses = 0
 
 
 def cache_of(scene: bpy.types.Scene) -> Cache | None:
-    """The scene's cache; None where its folder is beside a .blend that was not saved yet."""
-    folder = scene.tactile_clay.cache_directory
-    if not folder or (folder.startswith("//") and not bpy.data.filepath):
+    """The scene's cache; None where its folder cannot be told, as of a .blend never saved."""
+    try:
+        return Cache(resolve_directory(scene))
+    except BakeError:
         return None
-    return Cache(bpy.path.abspath(folder))
 
 
 def message(scene: bpy.types.Scene) -> str:
@@ -57,12 +61,34 @@ def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
         _messages[scene.name] = f"Frame {scene.frame_current}: {error}."
 
 
+def shown_frame(scene: bpy.types.Scene) -> int | None:
+    """The baked frame shown at the scene's current one; None where that is the rest state.
+
+    Before the first baked frame that is the first, after the last the last.
+    """
+    if all(is_packed(item) for item in clay_objects(scene)):
+        return scene.frame_current
+    cache = cache_of(scene)
+    frames = cache.frames() if cache else []
+    return min(max(scene.frame_current, frames[0]), frames[-1]) if frames else None
+
+
 def show_rest(scene: bpy.types.Scene) -> None:
-    """Show the clay as it was before it was baked."""
+    """Show the clay as it was before it was baked.
+
+    What has been done to its points while it showed that (Apply Transform, Set Origin, Join, Edit
+    Mode) belongs to it from now on.
+    """
     for item in clay_objects(scene):
         rest = read_points(item, "rest_position")
-        if rest is not None:
+        if rest is None:
+            continue
+        shown = read_points(item, "position")
+        if _BAKED_MARK in item.data or shown is None or not np.isfinite(shown).all():
             _write(item, rest)
+            item.data.pop(_BAKED_MARK, None)
+        elif not np.array_equal(shown, rest):
+            _write(item, shown, "rest_position")
 
 
 @contextmanager
@@ -82,22 +108,44 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
     if cache is None or not frames:
         show_rest(scene)
         return
-    meta = _meta(cache)
-    expected = [(part.name, part.count) for part in meta.clay]
-    if expected != [(item.name, len(item.data.points)) for item in clay]:
+    try:
+        meta = _meta(cache)
+    except CacheError as error:
+        raise CacheError(f"{error}. Bake again") from error
+    if not is_bake_of(meta, clay):
         show_rest(scene)
-        names = ", ".join(f"{name} ({count:,} particles)" for name, count in expected)
+        names = ", ".join(f"{part.name} ({part.count:,} particles)" for part in meta.clay)
         raise CacheError(f"the bake is of other clay: {names}. Bake again")
     wanted = min(max(scene.frame_current, frames[0]), frames[-1])
     if wanted not in frames:
         raise CacheMissingError("it is missing in the bake. Press Resume")
-    positions = cache.read_frame(wanted, meta=meta).positions
+    try:
+        positions = cache.read_frame(wanted, meta=meta).positions
+        inverse = [local_from_world(item) for item in clay]
+    except CacheDamagedError as error:
+        raise CacheDamagedError(f"{error}. Press Resume to bake it again") from error
+    except ValueError as error:
+        raise CacheError(str(error)) from error
     first = 0
-    for item in clay:
+    for item, matrix in zip(clay, inverse, strict=True):
         count = len(item.data.points)
-        inverse = np.linalg.inv(np.array(item.matrix_world, np.float64))
-        _write(item, transform(inverse, positions[first : first + count]))
+        _write(item, transform(matrix, positions[first : first + count]))
+        if _BAKED_MARK not in item.data:
+            item.data[_BAKED_MARK] = True
         first += count
+
+
+def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
+    """Whether a bake is of these clay objects; they may have been renamed since."""
+    counts = [len(item.data.points) for item in clay]
+    if [part.count for part in meta.clay] != counts:
+        return False
+    if [part.name for part in meta.clay] == [item.name for item in clay]:
+        return True
+    try:
+        return meta.settings.get("clay") == clay_digest(clay)
+    except SimulationError:
+        return False
 
 
 def _meta(cache: Cache) -> Meta:
@@ -112,9 +160,11 @@ def _meta(cache: Cache) -> Meta:
     return known[1]
 
 
-def _write(item: bpy.types.Object, local: NDArray[np.floating]) -> None:
+def _write(
+    item: bpy.types.Object, local: NDArray[np.floating], attribute: str = "position"
+) -> None:
     values = np.ascontiguousarray(local, np.float32).ravel()
-    item.data.attributes["position"].data.foreach_set("vector", values)
+    item.data.attributes[attribute].data.foreach_set("vector", values)
     item.data.update_tag()
 
 

@@ -20,7 +20,14 @@ from ..solver.material import Material
 from ..solver.settings import Settings
 from .cache import ClaySlice
 from .collider import ColliderError, resolve_kind
-from .mesh_geometry import evaluated_mesh, flat_plane, transform, turn_for
+from .mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    flat_plane,
+    is_switched_off,
+    transform,
+    turn_for,
+)
 from .preferences import device_choice, missing_parts
 
 if TYPE_CHECKING:
@@ -89,6 +96,11 @@ def rest_positions(item: bpy.types.Object) -> NDArray[np.float32]:
     if bad:
         raise SimulationError(f"{item.name!r} has {bad} points that are not finite. Delete them.")
     matrix = np.array(item.matrix_world, np.float64)
+    if not np.isfinite(matrix).all():
+        raise SimulationError(
+            f"The transform of {item.name!r} is not finite. Look for a bad value in its "
+            "animation or drivers."
+        )
     if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-4):
         raise SimulationError(
             f"{item.name!r} is scaled, so its particles no longer have their spacing. Clear the "
@@ -186,6 +198,7 @@ class Simulation:
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
         depsgraph = context.evaluated_depsgraph_get()
+        _check_clay(clay, depsgraph)
         self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
         self.materials = tuple(_checked_material(item) for item in clay)
         self.rest = [rest_positions(item) for item in clay]
@@ -238,7 +251,7 @@ class Simulation:
         return {
             **scene_digests(self.scene),
             "colliders": _digest(
-                self._frictions,
+                tuple(self._frictions.values()),
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
@@ -354,7 +367,8 @@ class Simulation:
             vertices, _ = evaluated_mesh(plane.item, depsgraph)
             matrix = plane.item.evaluated_get(depsgraph).matrix_world
             away = (transform(matrix, vertices) - plane.point) @ plane.normal
-            if float(np.abs(away).max()) > 1e-3 * self.spacing:
+            # Also where it is not a number.
+            if not float(np.abs(away).max()) <= 1e-3 * self.spacing:
                 raise SimulationError(
                     f"{plane.item.name!r} moves at frame {self.scene.frame_current}, but an "
                     "endless plane stands still. Give it thickness (Solidify modifier), so that "
@@ -371,13 +385,22 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
     clay = clay_objects(scene)
     gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
     return {
-        "clay": _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay)),
+        "clay": clay_digest(clay),
         "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
         "solver settings": _digest(asdict(solver_settings(scene))),
         "gravity": _digest(*gravity),
         "frame rate": _digest(frames_per_second(scene)),
         "unit scale": _digest(scene.unit_settings.scale_length),
     }
+
+
+def clay_digest(clay: list[bpy.types.Object]) -> str:
+    """A digest of the rest state, whatever the objects are called.
+
+    Raises:
+        SimulationError: The clay cannot be simulated.
+    """
+    return _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay))
 
 
 def _rotation_and_stretch(
@@ -388,6 +411,20 @@ def _rotation_and_stretch(
     rotation = left @ right
     stretch = right.T @ np.diag(scales) @ right
     return (rotation, stretch) if np.linalg.det(rotation) > 0 else (-rotation, -stretch)
+
+
+def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
+    users: dict[bpy.types.ID, bpy.types.Object] = {}
+    for item in clay:
+        if is_switched_off(item, depsgraph):
+            raise SimulationError(f"{item.name!r} {SWITCHED_OFF}")
+        other = users.setdefault(item.data, item)
+        if other != item:
+            raise SimulationError(
+                f"{item.name!r} is a linked duplicate of {other.name!r}, so both would show the "
+                "same particles. Make it a copy of its own (Object > Relations > Make Single "
+                "User > Object & Data)."
+            )
 
 
 def _checked_material(item: bpy.types.Object) -> Material:

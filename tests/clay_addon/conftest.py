@@ -67,6 +67,20 @@ class Studio:
         matrix = np.array(clay.matrix_world, np.float64)
         return (values @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
+    def linked(self, folder: Path) -> Any:
+        """Link a cube from a library that is written into a folder, and select it alone."""
+        block = self.block()
+        path = folder / "library.blend"
+        bpy.data.libraries.write(str(path), {block})
+        bpy.data.objects.remove(block)
+        with bpy.data.libraries.load(str(path), link=True) as (_, into):
+            into.objects = ["Cube"]
+        (item,) = into.objects
+        self.scene.collection.objects.link(item)
+        bpy.context.view_layer.update()
+        self.select(item)
+        return item
+
     def refused(self, operator: Any, **options: Any) -> str:
         """The error an operator reports, having changed no object."""
         before = {item.name: (item.type, item.hide_get()) for item in self.scene.objects}

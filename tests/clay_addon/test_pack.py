@@ -274,11 +274,27 @@ def test_incomplete_or_foreign_bake_is_not_packed(studio: Any, tmp_path: Path) -
 
     bake(bpy.context)
     item.name = "Renamed"
+    item.location.x += 1.0
+    bpy.context.view_layer.update()
     assert "Bake again" in studio.refused(bpy.ops.clay.pack)
-    item.name = "Clay"
+    item.location.x -= 1.0
+    bpy.context.view_layer.update()
     (tmp_path / "clay_cache" / "frame_000003.npz").unlink()
     assert "Resume" in studio.refused(bpy.ops.clay.pack)
     assert not is_packed(item)
+
+
+def test_linked_clay_is_not_packed(studio: Any, tmp_path: Path) -> None:
+    """Refuse to store frames in data that is not saved with the file."""
+    item = studio.falling_block(tmp_path)
+    bpy.data.libraries.write(str(tmp_path / "library.blend"), {item})
+    bpy.data.objects.remove(item)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, into):
+        into.objects = ["Clay"]
+    (item,) = into.objects
+    with pytest.raises(PackError, match="'Clay' is linked from another file"):
+        pack(item, {1: np.zeros((64, 3))})
+    assert not item.modifiers.get("Clay Playback")
 
 
 def test_packing_can_be_undone(studio: Any, tmp_path: Path) -> None:

@@ -75,9 +75,80 @@ def test_bake_of_other_clay_is_not_shown(studio: Any, baked: tuple[Any, Cache]) 
     """Show the rest state and say why where the bake has other particles."""
     clay, _ = baked
     clay.name = "Renamed"
+    clay.location.x += 1.0
+    bpy.context.view_layer.update()
     studio.scene.frame_set(5)
     np.testing.assert_array_equal(studio.points(clay), studio.points(clay, "rest_position"))
     assert "the bake is of other clay: Clay (64 particles)" in playback.message(studio.scene)
+
+
+def test_renamed_clay_plays_its_bake(studio: Any, baked: tuple[Any, Cache]) -> None:
+    """Know clay by where it starts from when its object has another name."""
+    clay, cache = baked
+    clay.name = "Bowl"
+    studio.scene.frame_set(5)
+    np.testing.assert_allclose(studio.points(clay), cache.read_frame(5).positions, atol=1e-7)
+    assert playback.message(studio.scene) == ""
+
+
+def test_clay_scaled_to_nothing_is_said(studio: Any, baked: tuple[Any, Cache]) -> None:
+    """Say why nothing can be shown, instead of failing at every frame."""
+    clay, _ = baked
+    clay.scale = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    studio.scene.frame_set(5)
+    assert "'Clay' is scaled to nothing" in playback.message(studio.scene)
+    assert "'Clay' is scaled to nothing" in studio.refused(bpy.ops.clay.pack)
+
+
+def test_unusable_meta_says_what_to_do(studio: Any, baked: tuple[Any, Cache]) -> None:
+    """Ask to bake again where the cache is of a later version."""
+    _, cache = baked
+    path = cache.directory / "meta.json"
+    path.write_text(path.read_text().replace('"format_version": 1', '"format_version": 2'))
+    studio.scene.frame_set(5)
+    assert "has format 2, and this version of the add-on reads format 1. Bake again." in (
+        playback.message(studio.scene)
+    )
+
+
+def test_points_moved_before_the_bake_are_where_it_starts(studio: Any, tmp_path: Path) -> None:
+    """Keep clay in its place when its transform is applied or another piece is joined to it."""
+    clay = studio.falling_block(tmp_path, end=2)
+    clay.location.x += 0.5
+    studio.select(clay)
+    bpy.context.view_layer.update()
+    before = studio.points(clay)
+    assert bpy.ops.object.transform_apply() == {"FINISHED"}
+    studio.scene.frame_set(2)
+    np.testing.assert_allclose(studio.points(clay), before, atol=1e-6)
+    other = studio.clay("Other", location=(0.7, 0.0, 0.03))
+    together = np.concatenate([before, studio.points(other)])
+    studio.select(clay, other)
+    assert bpy.ops.object.join() == {"FINISHED"}
+    cache = Cache(bake(bpy.context).directory)
+    np.testing.assert_allclose(cache.read_frame(1).positions, together, atol=1e-6)
+
+
+def test_baked_frame_is_never_taken_for_the_rest_state(
+    studio: Any, baked: tuple[Any, Cache]
+) -> None:
+    """Go back to where the clay started when the bake is gone, also after Undo."""
+    clay, cache = baked
+    rest = studio.points(clay, "rest_position")
+    bpy.ops.ed.undo_push(message="first frame")
+    clay.location.x += 0.1
+    bpy.ops.ed.undo_push(message="moved")
+    studio.scene.frame_set(6)
+    assert not np.array_equal(studio.points(clay), rest)
+    cache.free()
+    bpy.ops.ed.undo()
+    clay = bpy.context.scene.objects["Clay"]
+    np.testing.assert_array_equal(studio.points(clay, "rest_position"), rest)
+    np.testing.assert_array_equal(studio.points(clay), rest)
+    clay.data.attributes["position"].data[3].vector = (float("nan"), 0.0, 0.0)
+    bpy.context.scene.frame_set(2)
+    np.testing.assert_array_equal(studio.points(clay), rest)
 
 
 def test_moved_clay_object_plays_back_where_it_was_baked(

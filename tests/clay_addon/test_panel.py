@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Clay tab: that it draws whatever the scene holds, and says what is wrong."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+import pytest
+
+from tactile_clay.clay_addon import panel
+from tactile_clay.clay_addon.bake import bake
+
+
+class Layout:
+    """Takes down the texts that a panel draws."""
+
+    def __init__(self, texts: list[str]) -> None:
+        self.texts = texts
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("row", "column", "box"):
+            return lambda **_: Layout(self.texts)
+        return lambda *_, text="", **__: self.texts.append(text)
+
+
+def drawn(cls: Any) -> str:
+    """Draw a panel and return its texts."""
+    panel._glance.clear()
+    layout = Layout([])
+    cls.draw(SimpleNamespace(layout=layout), bpy.context)
+    return " ".join(layout.texts)
+
+
+def test_clay_converted_to_a_mesh_is_no_clay(studio: Any) -> None:
+    """Draw the panel when the active object was clay and is a mesh now."""
+    studio.select(studio.clay())
+    assert "64 particles, 10 mm apart" in drawn(panel.CLAY_PT_clay)
+    bpy.ops.object.convert(target="MESH")
+    assert "particles" not in drawn(panel.CLAY_PT_clay)
+
+
+def test_what_keeps_a_bake_from_starting_is_told(studio: Any, tmp_path: Path) -> None:
+    """Say why there is no cache folder, each reason in its own words."""
+    studio.clay()
+    assert "never saved" in drawn(panel.CLAY_PT_bake)
+    studio.save(tmp_path)
+    assert "Not baked yet." in drawn(panel.CLAY_PT_bake)
+    studio.scene.tactile_clay.cache_directory = ""
+    assert "No cache folder is set" in drawn(panel.CLAY_PT_bake)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_stale_bake_is_told(studio: Any, tmp_path: Path, scale: float) -> None:
+    """Name what has changed, or what keeps the clay from being simulated at all."""
+    clay = studio.falling_block(tmp_path, end=2)
+    bake(bpy.context)
+    assert "2 of 2 frames baked" in drawn(panel.CLAY_PT_bake)
+    assert "stale" not in drawn(panel.CLAY_PT_bake)
+    clay.location.x += 1.0
+    clay.scale = (scale, scale, scale)
+    bpy.context.view_layer.update()
+    expected = "since then changed: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, so"
+    assert expected in drawn(panel.CLAY_PT_bake)
