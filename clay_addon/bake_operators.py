@@ -61,7 +61,11 @@ class _BakeOperator:
         global running
         if bpy.app.background or context.window is None:
             return self.execute(context)
-        self._steps = self._begin(context)
+        try:
+            self._steps = self._begin(context)
+        except BakeError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         running = BakeProgress(context.scene.frame_current, 0, 1, None)
         # The first step checks everything; an error in it ends the operator at once.
         if not self._advance(context):
@@ -75,10 +79,7 @@ class _BakeOperator:
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Bake one frame at each tick; Esc stops."""
         if event.type == "ESC" and event.value == "PRESS":
-            assert self._steps is not None
-            self._steps.close()
-            self._finish(context)
-            self.report({"INFO"}, "Stopped. The frames so far are kept; Resume goes on.")
+            self._stop(context)
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -88,9 +89,18 @@ class _BakeOperator:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Stop when Blender ends the operator."""
-        if self._steps is not None:
-            self._steps.close()
-        self._finish(context)
+        self._stop(context)
+
+    def _stop(self, context: bpy.types.Context) -> None:
+        try:
+            if self._steps is not None:
+                self._steps.close()
+        except CacheError as error:
+            self.report({"ERROR"}, str(error))
+        else:
+            self.report({"INFO"}, "Stopped. The frames so far are kept; Resume goes on.")
+        finally:
+            self._finish(context)
 
     def _begin(
         self, context: bpy.types.Context

@@ -29,19 +29,29 @@ def make_collider(
         friction: Coulomb friction coefficient.
 
     Raises:
-        ColliderError: The object is no mesh, open, or not of the kind asked for; it stays as it
-            was.
+        ColliderError: The object is no mesh, open, linked from another file, or not of the kind
+            asked for; it stays as it was.
     """
     if friction < 0 or not np.isfinite(friction):
         raise ColliderError(f"The friction is {friction!r}; it must be a number of at least 0.")
     if kind not in ("AUTO", "MESH", "PLANE"):
         raise ColliderError(f"There is no collider kind {kind!r}. There are: AUTO, MESH, PLANE.")
+    _check_kept(item)
     resolve_kind(item, kind, bpy.context.evaluated_depsgraph_get())
     properties = item.tactile_clay
     properties.role = "COLLIDER"
     properties.collider_kind = kind
     properties.collider_friction = friction
     return item
+
+
+def _check_kept(item: bpy.types.Object) -> None:
+    if item.library is not None:
+        raise ColliderError(
+            f"{item.name!r} is linked from another file, so this one would not keep that it is a "
+            "collider. Make it local (Object > Relations > Make Local), or make it a collider "
+            "there."
+        )
 
 
 def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgraph) -> str:
@@ -86,6 +96,7 @@ class CLAY_OT_collider_add(bpy.types.Operator):  # noqa: N801
         depsgraph = context.evaluated_depsgraph_get()
         try:
             for item in chosen:
+                _check_kept(item)
                 resolve_kind(item, "AUTO", depsgraph)
             for item in chosen:
                 make_collider(item, "AUTO", item.tactile_clay.collider_friction)

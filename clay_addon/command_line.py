@@ -138,7 +138,8 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         "--frames",
         metavar="A-B",
         type=_frame_range,
-        help="frames to bake (default: the scene's range)",
+        help="frames to bake, as 1-120, or --frames=-10-50 where the first is negative "
+        "(default: the scene's range)",
     )
     bake.add_argument(
         "--resume", action="store_true", help="keep the frames that are there and go on"
@@ -243,7 +244,7 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
 def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from .export import ExportError, check_target, export_clay
-    from .playback import message
+    from .playback import message, shown_frame
     from .surface import SurfaceError
 
     if arguments.cache is not None:
@@ -255,14 +256,23 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
             scene.frame_set(frame)
             if message(scene):
                 raise _CommandError(message(scene), EXIT_STALE)
+            shown = shown_frame(scene)
+            if shown is None and arguments.cache is not None:
+                raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
             table = export_clay(context, arguments.output.absolute(), unit=arguments.unit)
     except (ExportError, SurfaceError) as error:
         raise _CommandError(str(error)) from error
+    if shown is None:
+        print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
+    elif shown != frame:
+        print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+    # Adding zero keeps rounding from writing -0.00.
+    volume_error = round(table["volume_error"], 4) + 0.0
     return EXIT_DONE, _text(
         arguments,
-        {"frame": frame, **table},
+        {"frame": frame, "shown_frame": shown, **table},
         f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
-        f"volume {table['volume_error']:+.2%} off the particles' own.",
+        f"volume {volume_error:+.2%} off the particles' own.",
     )
 
 

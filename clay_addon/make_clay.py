@@ -75,6 +75,7 @@ def make_clay(
 
     pieces = _closed_meshes(objects, context.evaluated_depsgraph_get())
     _check_particle_count(pieces, spacing, scene)
+    _check_place(pieces, spacing)
     points = _fill(pieces, spacing, scene)
     colors = np.concatenate(
         [
@@ -95,6 +96,16 @@ def _closed_meshes(
             already = item.tactile_clay.role == "CLAY"
             what = "is clay already" if already else f"is no mesh ({item.type.lower()})"
             raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
+        if item.tactile_clay.role == "COLLIDER":
+            raise ClayError(
+                f"{item.name!r} is a collider. Leave it out of the selection, or press Remove "
+                "Collider first."
+            )
+        if item.library is not None:
+            raise ClayError(
+                f"{item.name!r} is linked from another file, so it cannot be hidden in renders. "
+                "Make it local first (Object > Relations > Make Local)."
+            )
         if item.mode == "EDIT":
             raise ClayError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
         if is_switched_off(item, depsgraph):
@@ -131,6 +142,18 @@ def _check_particle_count(
                 f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
                 f"{round(volume / spacing**3)} particles. Use a spacing of at most "
                 f"{_length(_rounded(volume / 200, up=False), scene)}, or a larger mesh."
+            )
+
+
+def _check_place(
+    pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]], spacing: float
+) -> None:
+    for name, vertices, _ in pieces:
+        # The step of single precision at the farthest coordinate.
+        if np.spacing(np.float32(np.abs(vertices).max())) > 0.01 * spacing:
+            raise ClayError(
+                f"{name!r} lies so far from the world's origin that single precision blurs its "
+                "particles. Move it closer to the origin."
             )
 
 

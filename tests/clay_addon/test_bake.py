@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
@@ -225,6 +227,18 @@ def test_truncated_frame_is_baked_again(studio: Any, tmp_path: Path) -> None:
     assert frame_bytes(directory) == whole
 
 
+def test_progress_of_a_gap_ends_at_the_whole(studio: Any, tmp_path: Path) -> None:
+    """Count the frames after a gap as done, and not beyond the total."""
+    studio.falling_block(tmp_path, end=6)
+    Cache(bake(bpy.context).directory).frame_path(3).unlink()
+    told: list[BakeProgress] = []
+    bake(bpy.context, resume=True, progress=told.append)
+    assert [(report.frame, report.done, report.total) for report in told] == [
+        (2, 5, 6),
+        (3, 6, 6),
+    ]
+
+
 def test_damaged_checkpoint_costs_time_only(studio: Any, tmp_path: Path) -> None:
     """Start from the rest state where the checkpoint cannot be read."""
     studio.falling_block(tmp_path, end=6)
@@ -340,6 +354,14 @@ def test_unsaved_file_is_refused(studio: Any) -> None:
     assert "never saved" in studio.refused(bpy.ops.clay.free)
 
 
+def test_folder_beside_nothing_known_is_refused(studio: Any, tmp_path: Path) -> None:
+    """Ask for // where a folder is relative to wherever Blender was started."""
+    studio.falling_block(tmp_path)
+    studio.scene.tactile_clay.cache_directory = "cache"
+    with pytest.raises(BakeError, match=r"'cache' is beside nothing known\. Begin it with //"):
+        bake(bpy.context)
+
+
 def test_backward_range_is_refused(studio: Any, tmp_path: Path) -> None:
     """Say that the range ends before it starts."""
     studio.falling_block(tmp_path)
@@ -446,6 +468,66 @@ def test_operators_bake_resume_and_free(studio: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(studio.points(clay), rest)
     assert not (tmp_path / "clay_cache").exists()
     assert bake_operators.running is None
+
+
+class Window:
+    """An operator in a window, as far as there can be one here."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.told: list[str] = []
+        self.context: Any = SimpleNamespace(
+            scene=bpy.context.scene,
+            preferences=bpy.context.preferences,
+            evaluated_depsgraph_get=bpy.context.evaluated_depsgraph_get,
+            window=object(),
+            window_manager=MagicMock(windows=[]),
+            workspace=MagicMock(),
+        )
+        app = SimpleNamespace(background=False)
+        monkeypatch.setattr(bake_operators, "bpy", SimpleNamespace(app=app))
+        operator = type("Operator", (bake_operators._BakeOperator,), {})
+        self.operator = operator()
+        self.operator.report = lambda kind, text: self.told.append(text)
+
+    def press(self, kind: str) -> set[str]:
+        """Send an event to the operator."""
+        return self.operator.modal(self.context, SimpleNamespace(type=kind, value="PRESS"))
+
+
+def test_escape_on_a_full_disk_ends_the_bake(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Say that the disk is full, and let the next bake start."""
+    studio.falling_block(tmp_path)
+    window = Window(monkeypatch)
+    assert window.operator.invoke(window.context, None) == {"RUNNING_MODAL"}
+    assert window.press("TIMER") == window.press("TIMER") == {"RUNNING_MODAL"}
+
+    def full(handle: int) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert window.press("ESC") == {"CANCELLED"}
+    assert len(window.told) == 1
+    assert "The disk is full" in window.told[0]
+    assert bake_operators.running is None
+    assert studio.scene.frame_current == 1
+
+
+def test_second_bake_in_the_interface_is_refused(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Say that a bake runs, and leave it running."""
+    studio.falling_block(tmp_path)
+    window = Window(monkeypatch)
+    assert window.operator.invoke(window.context, None) == {"RUNNING_MODAL"}
+    other = Window(monkeypatch)
+    assert other.operator.invoke(other.context, None) == {"CANCELLED"}
+    assert other.told == ["A bake is running already. Press Esc to stop it."]
+    assert window.press("TIMER") == {"RUNNING_MODAL"}
+    assert window.press("ESC") == {"CANCELLED"}
+    assert window.told == ["Stopped. The frames so far are kept; Resume goes on."]
+    assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
 
 
 @pytest.mark.parametrize(

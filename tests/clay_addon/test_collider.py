@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Colliders: what may press on the clay, and what the solver is told about it."""
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -234,6 +235,68 @@ def test_scaled_clay_is_refused(studio: Any) -> None:
     bpy.context.view_layer.update()
     with pytest.raises(SimulationError, match="'Clay' is scaled"):
         Simulation(bpy.context)
+
+
+def test_linked_duplicate_of_clay_is_refused(studio: Any) -> None:
+    """Refuse two objects that would show the same points."""
+    clay = studio.clay()
+    twin = bpy.data.objects.new("Twin", clay.data)
+    twin.tactile_clay.role = "CLAY"
+    twin.tactile_clay.spacing = 0.01
+    studio.scene.collection.objects.link(twin)
+    with pytest.raises(SimulationError, match=r"'Twin' is a linked duplicate of 'Clay'.*Single"):
+        Simulation(bpy.context)
+    twin.data = clay.data.copy()
+    assert len(Simulation(bpy.context).rest) == 2
+
+
+def test_clay_that_blender_does_not_evaluate_is_refused(studio: Any) -> None:
+    """Bake clay hidden with H, but none that is switched off."""
+    clay = studio.clay()
+    clay.hide_set(True)
+    assert len(Simulation(bpy.context).rest) == 1
+    clay.hide_viewport = True
+    with pytest.raises(SimulationError, match="'Clay' is switched off in the viewport"):
+        Simulation(bpy.context)
+
+
+def test_clay_whose_transform_is_no_number_is_refused(studio: Any) -> None:
+    """Name the object, and do not call it scaled."""
+    studio.clay().location.x = float("nan")
+    bpy.context.view_layer.update()
+    with pytest.raises(SimulationError, match="transform of 'Clay' is not finite"):
+        Simulation(bpy.context)
+
+
+def test_plane_that_is_no_number_later_is_refused(studio: Any) -> None:
+    """Stop at the frame where a table's place is not a number."""
+    studio.clay()
+    table = studio.table()
+    simulation = Simulation(bpy.context)
+    table.location.z = float("nan")
+    bpy.context.view_layer.update()
+    with pytest.raises(SimulationError, match="'Table' moves at frame 1"):
+        simulation.feed(bpy.context.evaluated_depsgraph_get())
+
+
+def test_name_of_a_collider_decides_nothing(studio: Any) -> None:
+    """Keep a bake when a tool gets another name."""
+    studio.clay()
+    tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
+    before = Simulation(bpy.context).digests()
+    tool.name = "Thumb"
+    assert Simulation(bpy.context).digests() == before
+    tool.tactile_clay.collider_friction = 0.1
+    assert Simulation(bpy.context).digests() != before
+
+
+def test_linked_collider_is_refused(studio: Any, tmp_path: Path) -> None:
+    """Refuse an object that would be no collider any more in the saved file."""
+    item = studio.linked(tmp_path)
+    assert "Make it local" in studio.refused(bpy.ops.clay.collider_add)
+    with pytest.raises(ColliderError, match="'Cube' is linked from another file"):
+        make_collider(item)
+    assert item.tactile_clay.role == "NONE"
 
 
 def test_clay_of_different_spacing_is_refused(studio: Any) -> None:

@@ -94,6 +94,25 @@ def test_export_of_a_damaged_frame_is_refused(
     assert "Use one of .stl, .obj, .ply, .glb" in capfd.readouterr().err
 
 
+def test_export_of_a_frame_that_is_not_baked_says_what_it_is(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Tell the frame that was written in place of one beyond the bake."""
+    options = ["--output", str(tmp_path / "shape.stl"), "--json"]
+    assert main(["export", str(blend), *options]) == 0
+    said = capfd.readouterr()
+    assert json.loads(said.out)["shown_frame"] is None
+    assert "warning: nothing is baked, so this is the clay as it was made" in said.err
+    assert main(["bake", str(blend)]) == 0
+    capfd.readouterr()
+    assert main(["export", str(blend), *options, "--frame", "500"]) == 0
+    said = capfd.readouterr()
+    assert json.loads(said.out)["shown_frame"] == 4
+    assert "warning: frame 500 is not baked, so this is frame 4" in said.err
+    assert main(["export", str(blend), *options, "--cache", str(tmp_path / "none")]) == 1
+    assert f"There is no bake in {tmp_path / 'none'}" in capfd.readouterr().err
+
+
 def test_scene_option_bakes_another_scene(studio: Any, tmp_path: Path) -> None:
     """Bake the scene that is named, with its own clay and colliders, not the active one."""
     studio.falling_block(tmp_path)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make Clay: what becomes of meshes, and what is refused."""
 
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -241,3 +242,26 @@ def test_missing_warp_is_said(studio: Any, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(module, "missing_parts", lambda: ["NVIDIA Warp is missing: install it."])
     studio.block()
     assert "Warp is missing" in studio.refused(bpy.ops.clay.make)
+
+
+def test_collider_is_refused(studio: Any) -> None:
+    """Let nothing be clay and press on it at once."""
+    studio.block()
+    bpy.ops.clay.collider_add()
+    assert "'Cube' is a collider" in studio.refused(bpy.ops.clay.make)
+
+
+def test_linked_object_is_refused(studio: Any, tmp_path: Path) -> None:
+    """Refuse a mesh that would show in renders again once the file is opened."""
+    item = studio.linked(tmp_path)
+    assert "'Cube' is linked from another file" in studio.refused(bpy.ops.clay.make)
+    assert not item.hide_render
+
+
+def test_mesh_far_from_the_origin_is_refused(studio: Any) -> None:
+    """Make no clay where single precision cannot tell its particles apart."""
+    studio.scene.tactile_clay.spacing = 0.01
+    studio.block(location=(1000.0, 0.0, 0.0))
+    assert bpy.ops.clay.make() == {"FINISHED"}
+    studio.block(location=(0.0, 10_000.0, 0.0))
+    assert "far from the world's origin" in studio.refused(bpy.ops.clay.make)
