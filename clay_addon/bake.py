@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Generator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
@@ -213,8 +213,15 @@ def bake_steps(
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except SimulationError as error:
             raise BakeError(str(error)) from error
+        except ReferenceError as error:
+            raise BakeError(
+                "Something that is baked was deleted, or replaced by Undo, while the bake ran. The "
+                "frames so far are kept; Resume goes on."
+            ) from error
         finally:
-            scene.frame_set(previous[0], subframe=previous[1])
+            # Undo replaces the scene too.
+            with suppress(ReferenceError):
+                scene.frame_set(previous[0], subframe=previous[1])
     refresh(scene)
     return BakeResult(
         directory=cache.directory,

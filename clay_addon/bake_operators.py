@@ -218,6 +218,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister the operators."""
+    """Unregister the operators; Blender ends a bake that runs."""
+    global running
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
+    running = None

@@ -530,6 +530,39 @@ def test_second_bake_in_the_interface_is_refused(
     assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
 
 
+@pytest.mark.parametrize("how", ["delete", "undo"])
+def test_scene_that_changes_under_a_bake_ends_it(studio: Any, tmp_path: Path, how: str) -> None:
+    """Say what happened, keep the frames so far, and go on from them."""
+    studio.falling_block(tmp_path, end=4)
+    bpy.ops.ed.undo_push(message="table")
+    studio.table().name = "Other"
+    bpy.ops.ed.undo_push(message="other table")
+    steps = bake_steps(bpy.context)
+    assert [next(steps).frame, next(steps).frame] == [1, 2]
+    if how == "delete":
+        bpy.data.objects.remove(studio.scene.objects["Other"])
+    else:
+        bpy.ops.ed.undo()
+        bpy.ops.ed.redo()
+    with pytest.raises(BakeError, match=r"was deleted, or replaced by Undo.*Resume goes on"):
+        next(steps)
+    assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
+    if how == "undo":
+        assert bake(bpy.context, resume=True).kept == 2
+
+
+def test_add_on_disabled_during_a_bake_bakes_again(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Forget the bake that Blender ended with the add-on."""
+    studio.falling_block(tmp_path, end=2)
+    progress = BakeProgress(1, 1, 2, None)
+    monkeypatch.setattr(bake_operators, "running", progress)
+    bake_operators.unregister()
+    bake_operators.register()
+    assert bpy.ops.clay.bake() == {"FINISHED"}
+
+
 @pytest.mark.parametrize(
     ("seconds", "text"), [(None, "…"), (0.4, "0 s"), (75, "1 min 15 s"), (7300, "2 h 01 min")]
 )
