@@ -300,6 +300,7 @@ class Simulation:
         Raises:
             SimulationError: A collider did what a solver cannot follow.
         """
+        self._check_followed(depsgraph)
         self._check_planes(depsgraph)
         states = [self._state(part, depsgraph) for part in self._meshes]
         for part, (vertices, pose) in zip(self._meshes, states, strict=True):
@@ -361,6 +362,19 @@ class Simulation:
         pose[:3, :3] = rotation
         pose[:3, 3] = matrix[:3, 3] * self.scale
         return vertices @ stretch.T * self.scale, pose
+
+    def _check_followed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Refuse a state that Blender has not brought to the current frame."""
+        if depsgraph.scene.original != self.scene:
+            raise SimulationError(
+                f"Another scene was chosen while {self.scene.name!r} was simulated. Choose that "
+                "one again, then Resume."
+            )
+        for part in (*self._planes, *self._meshes):
+            if is_switched_off(part.item, depsgraph):
+                raise SimulationError(
+                    f"At frame {self.scene.frame_current} {part.item.name!r} {SWITCHED_OFF}"
+                )
 
     def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
         for plane in self._planes:

@@ -186,6 +186,27 @@ def test_hidden_tool_presses_and_a_switched_off_one_is_refused(studio: Any) -> N
         Simulation(bpy.context)
 
 
+def test_tool_switched_off_later_is_refused(studio: Any) -> None:
+    """Stop where Blender no longer moves a tool, instead of holding it still."""
+    studio.clay()
+    tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
+    simulation = Simulation(bpy.context)
+    tool.hide_viewport = True
+    studio.scene.frame_set(2)
+    with pytest.raises(SimulationError, match="At frame 2 'Cube' is switched off"):
+        simulation.feed(bpy.context.evaluated_depsgraph_get())
+
+
+def test_other_scene_chosen_meanwhile_is_refused(studio: Any) -> None:
+    """Follow no tool through the eyes of another scene, which does not move it."""
+    studio.clay()
+    make_collider(studio.block(location=(0.0, 0.0, 0.5)))
+    simulation = Simulation(bpy.context)
+    bpy.ops.scene.new(type="NEW")
+    with pytest.raises(SimulationError, match=r"Another scene was chosen while 'Scene' was"):
+        simulation.feed(bpy.context.evaluated_depsgraph_get())
+
+
 def test_collider_that_changes_its_topology_is_refused(studio: Any) -> None:
     """Name the object, the frame and the counts."""
     studio.clay()
