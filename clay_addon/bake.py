@@ -353,6 +353,13 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
         for item in clay_objects(scene)
         if is_packed(item)
     ]
+    scale = scene.unit_settings.scale_length
+    pull = scene.gravity.length * scale
+    if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:
+        warnings.append(
+            f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
+            f"is {9.81 / scale:.4g} there (Scene > Gravity)."
+        )
     if tally.quarantined:
         warnings.append(
             f"Particles were held in place {tally.quarantined} times because their state was not "

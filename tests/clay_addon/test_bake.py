@@ -84,6 +84,17 @@ def test_unit_scale_is_honoured(studio: Any, tmp_path: Path) -> None:
     np.testing.assert_allclose(millimetres, 1000.0 * metres, atol=1e-2)
 
 
+def test_gravity_left_behind_by_the_unit_scale_is_told(studio: Any, tmp_path: Path) -> None:
+    """Say that clay hardly falls where the scene is in millimetres and its gravity is not."""
+    studio.clay()
+    assert bake(bpy.context, start=1, end=2, directory=tmp_path).warnings == ()
+    studio.scene.unit_settings.scale_length = 0.001
+    (warning,) = bake(bpy.context, start=1, end=2, directory=tmp_path).warnings
+    assert "only 0.0098 m/s² at the scene's unit scale of 0.001; the earth's is 9810" in warning
+    studio.scene.gravity.z = -9810.0
+    assert bake(bpy.context, start=1, end=2, directory=tmp_path).warnings == ()
+
+
 def test_several_clays_keep_their_own_particles(studio: Any, tmp_path: Path) -> None:
     """Bake all clay of a scene together and give each object its own part, in order of names."""
     second = studio.clay("B", location=(0.2, 0.0, 0.05))

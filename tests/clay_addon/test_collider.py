@@ -193,7 +193,7 @@ def test_tool_switched_off_later_is_refused(studio: Any) -> None:
     simulation = Simulation(bpy.context)
     tool.hide_viewport = True
     studio.scene.frame_set(2)
-    with pytest.raises(SimulationError, match="At frame 2 'Cube' is switched off"):
+    with pytest.raises(SimulationError, match=r"At frame 2 'Cube\.001' is switched off"):
         simulation.feed(bpy.context.evaluated_depsgraph_get())
 
 
