@@ -167,7 +167,8 @@ class CoarseSpace:
             if cells <= MOST_CELLS:
                 break
             edge *= 1.25
-        group = _touching_groups(whole[occupant])
+        places = whole[occupant]
+        group = _connected_groups((np.abs(places[:, None] - places[None]) <= 1).all(2))
         order = np.argsort(group, kind="stable")
         number = np.empty(cells, np.int64)
         number[order] = np.arange(cells)
@@ -218,21 +219,26 @@ class CoarseSpace:
         )
 
     def invert(self, least_mass: float) -> None:
-        """Invert the coarse matrix, on the host: it is small.
+        """Invert the coarse matrix, on the host: it is small, and smaller for each body of clay.
 
         Args:
             least_mass: A particle's mass [kg], to weigh modes that nothing holds.
         """
         matrix = self.matrix.numpy()
         inverse = np.zeros_like(matrix)
-        for begin, end in self.blocks:
-            part = slice(MODES * begin, MODES * end)
-            block = matrix[part, part].astype(np.float64)
+        cells = self.blocks[-1][1]
+        joined = matrix.reshape(len(self.first), MODES, len(self.first), MODES)[:cells, :, :cells]
+        group = _connected_groups(joined.any((1, 3)) | np.eye(cells, dtype=bool))
+        for number in np.unique(group):
+            members = np.flatnonzero(group == number)
+            rows = (MODES * members[:, None] + np.arange(MODES)).ravel()
+            part = np.ix_(rows, rows)
+            block = matrix[part].astype(np.float64)
             block = 0.5 * (block + block.T)
             # Cells of one or two particles cannot turn; a little inertia keeps them quiet.
-            ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, end - begin)
+            ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, len(members))
             block[np.diag_indices_from(block)] += ridge * least_mass
-            inverse[part, part] = np.linalg.inv(block)
+            inverse[part] = np.linalg.inv(block)
         self.inverse.assign(inverse)
 
     def solve(self, position: wp.array, residual: wp.array) -> None:
@@ -252,16 +258,15 @@ class CoarseSpace:
         )
 
 
-def _touching_groups(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    """A number for each group of grid cells that touch, also at an edge or a corner.
+def _connected_groups(joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """A number for each group of cells that are joined, directly or through others.
 
     Args:
-        places: Whole grid coordinates of the cells, shape [C, 3].
+        joined: Which pairs of cells are joined, each with itself too, shape [C, C].
     """
-    touch = (np.abs(places[:, None] - places[None]) <= 1).all(2)
-    group = np.arange(len(places))
+    group = np.arange(len(joined))
     while True:
-        lowest = np.where(touch, group[None], len(places)).min(1)
+        lowest = np.where(joined, group[None], len(joined)).min(1)
         if np.array_equal(lowest, group):
             return group
         group = lowest

@@ -102,16 +102,25 @@ class MeshColliders:
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
         self._targets: list[tuple] = []
 
-    def farthest_motion(self) -> list[float]:
-        """How far any vertex of each collider is going to move in this step [m]."""
+    def farthest_motion(self) -> tuple[list[float], list[NDArray[np.float64]]]:
+        """How far any vertex of each collider is going to move in this step, and where.
+
+        Returns:
+            Distances [m], and the boxes that the colliders sweep, shape [2, 3] each: lowest and
+            highest corner [m].
+        """
         self._targets = []
         motions = []
+        boxes = []
         for moving in self.moving:
             target = _rigid_and_shape(moving.collider)
             self._targets.append(target)
             end = target[2] @ target[0].T + target[1]
-            motions.append(float(np.linalg.norm(end - moving.world(), axis=1).max()))
-        return motions
+            begin = moving.world()
+            motions.append(float(np.linalg.norm(end - begin, axis=1).max()))
+            low = np.minimum(begin.min(0), end.min(0))
+            boxes.append(np.array([low, np.maximum(begin.max(0), end.max(0))]))
+        return motions, boxes
 
     def begin_step(self, substeps: int, motions: list[float], teleported: list[bool]) -> None:
         """Lay out the colliders' way through the coming substeps.

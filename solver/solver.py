@@ -271,17 +271,28 @@ class Solver:
         self._clay, self._pair_laws = self._laws[time_step]
 
     def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
-        """Substeps such that no collider moves more than half a particle's radius in one.
+        """Substeps such that no collider near the clay moves more than half a particle's radius.
 
         Returns:
-            Their number, and the farthest motion of a collider that does not jump [m].
+            Their number, and the farthest motion of a collider that sweeps near the clay [m].
         """
         assert self._meshes is not None
-        motions = self._meshes.farthest_motion()
+        motions, boxes = self._meshes.farthest_motion()
+        points = self._position.numpy()
+        points = points[np.isfinite(points).all(1)]
+        # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
+        reach = (2.0 + substeps) * self.scene.spacing
+        low = points.min(0, initial=np.inf) - reach
+        high = points.max(0, initial=-np.inf) + reach
+        near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
         stride = 0.25 * self.scene.spacing
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
-        swept = [m for m, jumps in zip(motions, teleported, strict=True) if not jumps]
+        swept = [
+            motion
+            for motion, jumps, close in zip(motions, teleported, near, strict=True)
+            if close and not jumps
+        ]
         farthest = max(swept, default=0.0)
         substeps = max(substeps, math.ceil(farthest / stride))
         self._teleported += sum(teleported)

@@ -165,3 +165,22 @@ def test_tool_far_away_costs_no_queries_and_changes_nothing():
             solver.step(1 / 60)
         results.append(solver.positions())
     np.testing.assert_array_equal(results[0], results[1])
+
+
+def test_fast_tool_far_from_the_clay_takes_no_more_substeps():
+    """Keep frames cheap while a hand rushes about elsewhere, and sweep where it comes near."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(4, SPACING), Material())
+    scene.add_plane()
+    sphere = ball(0.01)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(0.5, 0, 0.3))
+    solver = Solver(scene)
+    tool.set_pose(at(0.5, 0, 0.26))
+    solver.step(1 / 60)
+    assert solver.diagnostics().substeps == solver.settings.substeps
+    tool.set_pose(at(0.05, 0, 0.01))
+    solver.step(1 / 60)
+    tool.set_pose(at(0.02, 0, 0.01))
+    solver.step(1 / 60)
+    assert solver.diagnostics().substeps in (24, 25)
