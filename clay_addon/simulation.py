@@ -370,10 +370,11 @@ class Simulation:
                 f"Another scene was chosen while {self.scene.name!r} was simulated. Choose that "
                 "one again, then Resume."
             )
-        for part in (*self._planes, *self._meshes):
-            if is_switched_off(part.item, depsgraph):
+        followed: list[_FlatCollider | _MovingCollider] = [*self._planes, *self._meshes]
+        for item in (part.item for part in followed):
+            if is_switched_off(item, depsgraph):
                 raise SimulationError(
-                    f"At frame {self.scene.frame_current} {part.item.name!r} {SWITCHED_OFF}"
+                    f"At frame {self.scene.frame_current} {item.name!r} {SWITCHED_OFF}"
                 )
 
     def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
