@@ -77,7 +77,7 @@ def check_closed_mesh(
     edges, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
     open_edges = edges[uses == 1]
     if len(open_edges):
-        holes = _group_count(open_edges)
+        holes = group_count(open_edges)
         raise MeshError(
             f"{name} is open: it has {holes} hole{'s' if holes > 1 else ''} "
             f"({len(open_edges)} open edges). Close {'them' if holes > 1 else 'it'} first, for "
@@ -105,7 +105,7 @@ def check_closed_mesh(
     return points, np.ascontiguousarray(corners, np.int32)
 
 
-def _group_count(edges: NDArray[np.int64]) -> int:
+def group_count(edges: NDArray[np.int64]) -> int:
     """Number of connected groups that a set of edges forms (a hole is one such group)."""
     _, ends = np.unique(edges, return_inverse=True)
     ends = ends.reshape(-1, 2)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .closed_mesh import check_closed_mesh
+from .closed_mesh import check_closed_mesh, mesh_volume
 from .fill import fill_mesh
 from .material import Material
 
@@ -173,7 +173,11 @@ class Scene:
         Raises:
             ValueError: Wrong shape, or values that are not finite; the message says how many.
         """
-        positions = np.asarray(points, np.float32).reshape(-1, 3)
+        positions = np.asarray(points, np.float32)
+        if positions.size == 0:
+            positions = positions.reshape(0, 3)
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise ValueError(f"Clay points have shape {positions.shape}; expected (N, 3).")
         count = len(positions)
         bad = int((~np.isfinite(positions).all(1)).sum())
         if bad:
@@ -254,9 +258,8 @@ class Scene:
         """
         points = np.asarray(vertices, np.float64)
         triangles = np.asarray(faces, np.int32)
-        _, welded_faces = check_closed_mesh(points, triangles, name="The collider")
-        check_turned = len(welded_faces) and _is_turned(points, triangles)
-        if check_turned:
+        check_closed_mesh(points, triangles, name="The collider")
+        if mesh_volume(points, triangles) < 0.0:
             triangles = triangles[:, ::-1]
         collider = MeshCollider(points.copy(), np.ascontiguousarray(triangles), _friction(friction))
         self.meshes.append(collider)
@@ -283,12 +286,6 @@ class Scene:
                 distinct.append(body.material)
             indices.append(np.full(body.count, distinct.index(body.material), np.int32))
         return distinct, np.concatenate(indices)
-
-
-def _is_turned(points: NDArray[np.float64], triangles: NDArray[np.int32]) -> bool:
-    from .closed_mesh import mesh_volume
-
-    return mesh_volume(points, triangles) < 0.0
 
 
 def _finite_vector(value: Sequence[float] | ArrayLike, name: str) -> NDArray[np.float64]:

@@ -47,6 +47,17 @@ def test_several_bodies_are_filled_each():
     assert abs(2 * left - len(points)) <= 0.02 * len(points)
 
 
+def test_bodies_that_overlap_are_filled_once():
+    """Count the overlap of two boxes in one mesh once, and stay inside them or half beside."""
+    box = trimesh.creation.box((0.04, 0.04, 0.04))
+    both = trimesh.util.concatenate([box, box.copy().apply_translation((0.02, 0, 0))])
+    points = fill_mesh(both.vertices, both.faces, 0.004)
+    assert len(points) == pytest.approx(1500, rel=0.01)
+    assert np.abs(points[:, 1:]).max() < 0.0221
+    assert points[:, 0].min() > -0.0221
+    assert points[:, 0].max() < 0.0421
+
+
 def test_cavity_stays_empty():
     """Leave the hollow of a shell hollow."""
     shell = trimesh.util.concatenate(

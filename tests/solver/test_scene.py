@@ -33,6 +33,8 @@ def test_bad_clay_is_refused():
         scene.add_clay(points, Material())
     with pytest.raises(ValueError, match="colors"):
         scene.add_clay(np.zeros((4, 3)), Material(), colors=np.zeros((3, 4)))
+    with pytest.raises(ValueError, match="shape"):
+        scene.add_clay(np.zeros((3, 2)), Material())
     assert scene.particle_count == 0
 
 

@@ -75,6 +75,10 @@ def test_snapshot_of_another_scene_is_refused():
     state["position"] = state["position"][:-1]
     with pytest.raises(ValueError, match="another scene"):
         solver.restore(state)
+    state = solver.snapshot()
+    state["velocity"] = state["velocity"][:10]
+    with pytest.raises(ValueError, match="velocity"):
+        solver.restore(state)
     np.testing.assert_array_equal(solver.positions(), before)
 
 
