@@ -46,6 +46,14 @@ def test_force_grows_with_yield_stress():
     assert firm.force_held / soft.force_held == pytest.approx(2.0, rel=0.25)
 
 
+def test_viscosity_resists_a_fast_press():
+    """Push back harder on a moving ball with viscosity than without."""
+    thick = Material(yield_stress=1e3, viscosity=500.0)
+    viscous = press(0.006, material=thick)
+    ideal = press(0.006, material=thick, settings=Settings(viscosity=False))
+    assert viscous.force_moving > 1.5 * ideal.force_moving
+
+
 @pytest.mark.parametrize("yield_ratio", [0.1, 0.2, 0.3])
 def test_slump_follows_theory(yield_ratio: float):
     """Slump as Pashias and von Mises say, within 15 % of the height."""
