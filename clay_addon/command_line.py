@@ -68,8 +68,12 @@ def main_in_blender(argv: Sequence[str]) -> int:
 
 def run() -> None:
     """Carry out the command that the shell gave, and end the process."""
-    code = main(sys.argv[1:])
-    sys.stdout.flush()
+    try:
+        code = main(sys.argv[1:])
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever read the output has seen enough, as `head` does.
+        code = 0
     sys.stderr.flush()
     # The bpy module of Blender 4.5 can hang while the interpreter is torn down.
     os._exit(code)

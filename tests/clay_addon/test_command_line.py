@@ -267,3 +267,20 @@ def test_missing_bpy_is_explained() -> None:
     result = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
     assert result.returncode == 1
     assert "The bpy module is missing" in result.stderr
+
+
+def test_closed_output_is_no_error(blend: Path) -> None:
+    """End quietly when whoever reads the output has gone, as `head` does."""
+    code = (
+        "import sys; from tactile_clay.clay_addon.command_line import run\n"
+        f"sys.argv = ['tactile-clay', 'info', {str(blend)!r}]; run()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdout
+        assert process.stderr
+        process.stdout.close()
+        said = process.stderr.read()
+    assert process.returncode == 0
+    assert b"Traceback" not in said
