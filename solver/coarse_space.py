@@ -139,9 +139,11 @@ class CoarseSpace:
         self.particle_count = particle_count
         self.spacing = spacing
         self.cell = wp.zeros(particle_count, dtype=int, device=device)
+        self.generation = 0
         self._resize(1)
 
     def _resize(self, cells: int) -> None:
+        self.generation += 1
         size = MODES * cells
         self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
         self.first = wp.zeros(cells, dtype=int, device=self.device)
@@ -185,7 +187,7 @@ class CoarseSpace:
     def _place_blocks(self, cells: int, bounds: list[int]) -> None:
         """Note which cells touch each other, directly or through others: only those couple."""
         room = 1 << (cells - 1).bit_length()
-        if room != self.center.shape[0]:
+        if room > self.center.shape[0]:
             self._resize(room)
         first = np.zeros(room, np.int32)
         last = np.zeros(room, np.int32)

@@ -99,6 +99,7 @@ class MeshColliders:
             [m.orientation for m in self.moving], dtype=float, device=device
         )
         self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
+        self.generation = 0
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
         self._targets: list[tuple] = []
 
@@ -176,6 +177,7 @@ class MeshColliders:
             room *= 2
         if room != self.pose.shape[1]:
             self.pose = wp.zeros((len(self.moving), room), dtype=wp.transform, device=self.device)
+            self.generation += 1
         filled = np.zeros((len(self.moving), room, 7), np.float32)
         filled[:, : substeps + 1] = poses
         self.pose.assign(filled)

@@ -4,7 +4,7 @@
 Each particle keeps a row of slots. A slot holds the neighbour's index and the pair's rest
 length: 0 for a free pair, negative while a new bond is being counted in, positive for a bond
 (rest length [m]). Both ends keep their own copy of the rest length; the bond law reads only
-values that are the same at both ends, so the copies stay equal bit for bit and no pass needs
+values that are the same at both ends, so the copies stay equal but for rounding and no pass needs
 atomics. Bonds come first in a row, so they survive when a row runs over.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 SLOTS = 96
-"""Neighbours a particle can list: clay at 1.8 times its density within 2.3 spacings."""
+"""Neighbours a particle can list: clay at three times its density within two spacings."""
 
 _GRID_CELLS = 64
 

@@ -2,9 +2,9 @@
 """The pairs that act in a substep, and the forces between them.
 
 Every pair is kept at both ends, so that each particle gathers its own sum. Both ends compute the
-same numbers from the same values, so forces are equal and opposite and rest lengths stay equal
-bit for bit. A pair's direction is that at the start of the substep, its length that at the end:
-so pair forces conserve angular momentum exactly.
+same numbers from the same values, so forces are equal and opposite and rest lengths stay equal,
+but for rounding. A pair's direction is that at the start of the substep, its length that at the
+end: so pair forces conserve angular momentum exactly.
 """
 
 import warp as wp

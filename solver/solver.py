@@ -308,11 +308,12 @@ class Solver:
         common.time_step_before = self._time_step_before
         common.radius = 0.5 * self.scene.spacing
         common.margin = MARGIN * self.scene.spacing
+        # Generations, not addresses: a new array may lie where an old one was.
         key = (
             time_step,
             self._time_step_before,
-            self._coarse.matrix.ptr,
-            self._meshes.pose.ptr if self._meshes else 0,
+            self._coarse.generation,
+            self._meshes.generation if self._meshes else 0,
         )
         self._recordings.run((*key, "open"), lambda: self._open_substep(common))
         self._coarse.invert(self._least_mass)
