@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError
 from ..solver.material import Material
+from ..solver.polar import rotation_and_stretch
 from ..solver.settings import Settings
 from .cache import ClaySlice
 from .collider import ColliderError, resolve_kind
@@ -230,7 +231,7 @@ class Simulation:
         matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
         self._frictions[item.name] = item.tactile_clay.collider_friction
         if kind == "MESH":
-            _, stretch = _rotation_and_stretch(matrix)
+            _, stretch = rotation_and_stretch(matrix[:3, :3])
             self._meshes.append(
                 _MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
             )
@@ -348,7 +349,7 @@ class Simulation:
                 f"{part.item.name!r} is not finite (NaN or infinite) at frame "
                 f"{self.scene.frame_current}."
             )
-        rotation, stretch = _rotation_and_stretch(matrix)
+        rotation, stretch = rotation_and_stretch(matrix[:3, :3])
         # Blender's matrices are single precision: without this, a tool that only turns would seem
         # to change its shape in every frame.
         if np.allclose(stretch, part.stretch, rtol=0.0, atol=2e-6 * np.abs(stretch).max()):
@@ -416,16 +417,6 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
         SimulationError: The clay cannot be simulated.
     """
     return _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay))
-
-
-def _rotation_and_stretch(
-    matrix: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Polar decomposition of a 4×4 matrix's linear part; a mirroring goes into the stretch."""
-    left, scales, right = np.linalg.svd(matrix[:3, :3])
-    rotation = left @ right
-    stretch = right.T @ np.diag(scales) @ right
-    return (rotation, stretch) if np.linalg.det(rotation) > 0 else (-rotation, -stretch)
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:

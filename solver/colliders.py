@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .polar import rotation_and_stretch
 from .scene import MeshCollider, Plane
 
 
@@ -224,13 +225,8 @@ def _rigid_and_shape(
     collider: MeshCollider,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
     """Split a pose into rotation, translation and stretched vertices (polar decomposition)."""
-    linear = collider.pose[:3, :3]
-    left, scales, right = np.linalg.svd(linear)
-    rotation = left @ right
-    stretch = right.T @ np.diag(scales) @ right
-    orientation = 1.0
-    if np.linalg.det(rotation) < 0.0:
-        rotation, stretch, orientation = -rotation, -stretch, -1.0
+    rotation, stretch = rotation_and_stretch(collider.pose[:3, :3])
+    orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
     return rotation, collider.pose[:3, 3].copy(), collider.vertices @ stretch.T, orientation
 
 
