@@ -72,7 +72,6 @@ class Clay:
     shortest_length: float
     dwell: float
     forget_fraction: float
-    gravity: wp.vec3
     material_count: int
     bonds: int
 
@@ -197,7 +196,6 @@ def make_pair_laws(
 def make_clay(
     settings: Settings,
     spacing: float,
-    gravity: tuple[float, float, float],
     material_count: int,
     time_step: float,
 ) -> Clay:
@@ -212,7 +210,6 @@ def make_clay(
     clay.shortest_length = SHORTEST_LENGTH * spacing
     clay.dwell = DWELL
     clay.forget_fraction = time_step / (time_step + VOLUME_MEMORY)
-    clay.gravity = wp.vec3(*gravity)
     clay.material_count = material_count
     clay.bonds = int(settings.elastoplasticity)
     return clay

@@ -101,6 +101,8 @@ class MeshColliders:
         )
         self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
         self.generation = 0
+        self.substep = wp.zeros(1, dtype=int, device=device)
+        """Which of a step's substeps is under way; on the device, so that it can be recorded."""
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
         self._targets: list[tuple] = []
 
@@ -185,6 +187,7 @@ class MeshColliders:
 
     def begin_substep(self, substep: int, substeps: int) -> None:
         """Bring deforming meshes to the end of a substep."""
+        self.substep.fill_(substep)
         for moving in self.moving:
             if moving.start is not None:
                 wp.launch(

@@ -8,8 +8,15 @@ by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and N
 a collider is moved out no faster than `DEPENETRATION_SPEED`.
 """
 
+import math
+
+import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+
+from .colliders import MeshColliders, PlaneColliders
+from .particles import Particles
+from .scene import MeshCollider, Plane, Scene
 
 DEPENETRATION_SPEED = 0.5
 """Speed at which something that lies inside a collider is moved out [m/s]."""
@@ -259,15 +266,22 @@ def settle_contacts(
 class Contacts:
     """Contacts of all particles with all colliders.
 
+    A scene without colliders keeps no slots.
+
     Args:
-        particle_count: Number of particles.
-        device: Warp device.
+        scene: Its planes and meshes are the colliders, in this order.
+        particles: What they touch.
+        friction: Whether friction acts.
     """
 
-    def __init__(self, particle_count: int, device: wp.Device) -> None:
-        rows = (particle_count, MOST_CONTACTS)
-        self.device = device
-        self.particle_count = particle_count
+    def __init__(self, scene: Scene, particles: Particles, *, friction: bool) -> None:
+        self.particles = particles
+        self.device = device = particles.device
+        self.colliders: list[Plane | MeshCollider] = [*scene.planes, *scene.meshes]
+        self.planes = PlaneColliders(scene.planes, device) if scene.planes else None
+        self.meshes = MeshColliders(scene.meshes, particles.count, device) if scene.meshes else None
+        self._plane_count = len(scene.planes)
+        rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
         slots = ContactSlots()
         for name, dtype in (
             ("collider", int),
@@ -282,28 +296,142 @@ class Contacts:
             ("anchor_before", wp.vec3),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
-        slots.count = wp.zeros(particle_count, dtype=int, device=device)
-        slots.count_before = wp.zeros(particle_count, dtype=int, device=device)
+        slots.count = wp.zeros(rows[0], dtype=int, device=device)
+        slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots
+        table = np.zeros((max(len(particles.materials), 1), max(len(self.colliders), 1)))
+        if friction:
+            for row, material in enumerate(particles.materials):
+                for column, collider in enumerate(self.colliders):
+                    table[row, column] = math.sqrt(material.friction * collider.friction)
+        self.friction = wp.array(table, dtype=float, device=device)
+        """Of each material on each collider: the geometric mean of the two."""
+        self.impulse = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
+        """On each collider in this step [N s]."""
+        self.deepest = wp.zeros(1, dtype=float, device=device)
+        """How far any particle's ball lay inside a collider in this step [m]."""
 
-    def begin(self) -> None:
-        """Set the last substep's contacts aside, to find their anchors again."""
+    @property
+    def generation(self) -> int:
+        """Changes whenever an array gives way to another."""
+        return self.meshes.generation if self.meshes else 0
+
+    def begin_step(self) -> None:
+        """Forget what the last step summed up."""
+        self.impulse.zero_()
+        self.deepest.zero_()
+
+    def find(self, common: ContactPass) -> None:
+        """Find the contacts of a substep; those that were there before keep their anchors."""
+        if not self.colliders:
+            return
         slots = self.slots
         wp.copy(slots.count_before, slots.count)
         wp.copy(slots.collider_before, slots.collider)
         wp.copy(slots.anchor_before, slots.anchor)
         slots.count.zero_()
+        particles = self.particles
+        motion = [particles.position, particles.velocity]
+        if self.meshes:
+            meshes = self.meshes
+            wp.launch(
+                find_mesh_contacts,
+                dim=particles.count,
+                inputs=[
+                    common,
+                    meshes.substep,
+                    self._plane_count,
+                    meshes.mesh,
+                    meshes.pose,
+                    meshes.orientation,
+                    meshes.reach,
+                    meshes.travel,
+                    *motion,
+                    meshes.clearance,
+                    slots,
+                ],
+                device=self.device,
+            )
+        if self.planes:
+            wp.launch(
+                find_plane_contacts,
+                dim=particles.count,
+                inputs=[common, self.planes.point, self.planes.normal, *motion, slots],
+                device=self.device,
+            )
+
+    def press(
+        self, common: ContactPass, residual: wp.array, diagonal: wp.array, own_block: wp.array
+    ) -> None:
+        """Add contact impulses and their tangent to the system of a substep.
+
+        Args:
+            common: The substep.
+            residual: Impulse still missing at each particle [N s], added to.
+            diagonal: Each particle's block of the tangent [kg], added to.
+            own_block: Mass and contacts alone [kg], written.
+        """
+        particles = self.particles
+        wp.launch(
+            press_contacts,
+            dim=particles.count,
+            inputs=[
+                common,
+                self.friction,
+                particles.material,
+                particles.mass,
+                particles.velocity,
+                self.slots,
+                residual,
+                diagonal,
+                own_block,
+            ],
+            device=self.device,
+        )
+
+    def settle(self, common: ContactPass, change: wp.array) -> None:
+        """Sum the impulses on colliders and move anchors, once velocities are final.
+
+        Args:
+            common: The substep.
+            change: What the last solve changed of the velocities [m/s].
+        """
+        if not self.colliders:
+            return
+        particles = self.particles
+        wp.launch(
+            settle_contacts,
+            dim=particles.count,
+            inputs=[
+                common,
+                self.friction,
+                particles.material,
+                particles.velocity,
+                change,
+                self.slots,
+                self.impulse,
+                self.deepest,
+            ],
+            device=self.device,
+        )
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Anchors and what they hold on to."""
+        """Anchors and what they hold on to, and where meshes stand."""
+        if not self.colliders:
+            return {}
         return {
             "contact_count": self.slots.count.numpy().copy(),
             "contact_collider": self.slots.collider.numpy().copy(),
             "contact_anchor": self.slots.anchor.numpy().copy(),
+            **(self.meshes.snapshot() if self.meshes else {}),
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
+        if not self.colliders:
+            return
         self.slots.count.assign(state["contact_count"])
         self.slots.collider.assign(state["contact_collider"])
         self.slots.anchor.assign(state["contact_anchor"])
+        if self.meshes:
+            self.meshes.restore(state)

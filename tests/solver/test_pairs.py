@@ -8,13 +8,14 @@ import pytest
 import warp as wp
 
 from tactile_clay.solver import Material, Scene, Solver, pair_rows, pair_rows_cpu
+from tactile_clay.solver.plastic_bonds import PlasticBonds
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005
 
 
 @pytest.fixture(scope="module")
-def pressed() -> Solver:
+def pressed() -> PlasticBonds:
     """Clay in the middle of a press: compressed, stretched and yielding."""
     scene = Scene(SPACING)
     points = block(7, SPACING)
@@ -28,21 +29,23 @@ def pressed() -> Solver:
     for frame in range(10):
         tool.set_pose(at(0, 0, 0.047 - 0.001 * frame))
         solver.step(1 / 60)
-    assert solver._pairs.rows.compression.numpy().max() > 0
-    return solver
+    model = solver._model
+    assert isinstance(model, PlasticBonds)
+    assert model.compression().max() > 0
+    return model
 
 
-def launch(solver: Solver, kernel: Any, *inputs: Any) -> None:
+def launch(model: PlasticBonds, kernel: Any, *inputs: Any) -> None:
     """Run a kernel over all particles."""
-    wp.launch(kernel, dim=solver.scene.particle_count, inputs=list(inputs), device="cpu")
+    wp.launch(kernel, dim=model.particles.count, inputs=list(inputs), device="cpu")
 
 
-def test_vectorised_measure_is_the_plain_one(pressed: Solver):
+def test_vectorised_measure_is_the_plain_one(pressed: PlasticBonds):
     """Measure the same lengths, stretches and compressions as the plain kernel."""
-    rows = pressed._pairs.rows
+    rows = pressed.pairs.rows
     results = []
     for kernel in (pair_rows.measure_pairs, pair_rows_cpu.measure_pairs):
-        launch(pressed, kernel, pressed._clay, pressed._velocity, rows)
+        launch(pressed, kernel, pressed.clay, pressed.particles.velocity, rows)
         count = rows.count.numpy()
         used = np.arange(rows.distance_next.shape[1]) < count[:, None]
         results.append(
@@ -56,10 +59,10 @@ def test_vectorised_measure_is_the_plain_one(pressed: Solver):
         np.testing.assert_allclose(vectorised, plain, atol=2e-6 * scale)
 
 
-def test_vectorised_product_is_the_plain_one(pressed: Solver):
+def test_vectorised_product_is_the_plain_one(pressed: PlasticBonds):
     """Multiply any direction to the same product as the plain kernels."""
-    rows = pressed._pairs.rows
-    count = pressed.scene.particle_count
+    rows = pressed.pairs.rows
+    count = pressed.particles.count
     direction = wp.array(
         np.random.default_rng(2).normal(size=(count, 3)), dtype=wp.vec3, device="cpu"
     )
@@ -70,15 +73,15 @@ def test_vectorised_product_is_the_plain_one(pressed: Solver):
         launch(
             pressed,
             module.press_pairs,
-            pressed._bodies,
-            pressed._material,
-            pressed._clay.time_step,
+            pressed.bodies,
+            pressed.particles.material,
+            pressed.clay.time_step,
             rows,
             direction,
             pressure,
         )
         launch(
-            pressed, module.multiply_pairs, rows, pressed._own_block, pressure, direction, product
+            pressed, module.multiply_pairs, rows, pressed.own_block, pressure, direction, product
         )
         results.append((pressure.numpy(), product.numpy()))
     for plain, vectorised in zip(*results, strict=True):
@@ -86,21 +89,21 @@ def test_vectorised_product_is_the_plain_one(pressed: Solver):
         np.testing.assert_allclose(vectorised, plain, atol=1e-5 * np.abs(plain).max())
 
 
-def test_tangent_is_symmetric_and_positive(pressed: Solver):
+def test_tangent_is_symmetric_and_positive(pressed: PlasticBonds):
     """Give a symmetric, positive definite system: what conjugate gradients ask for."""
-    rows = pressed._pairs.rows
-    count = pressed.scene.particle_count
+    rows = pressed.pairs.rows
+    count = pressed.particles.count
     generator = np.random.default_rng(3)
     vectors = [generator.normal(size=(count, 3)).astype(np.float32) for _ in range(2)]
     products = []
     for vector in vectors:
         direction = wp.array(vector, dtype=wp.vec3, device="cpu")
         product = wp.zeros(count, dtype=wp.vec3, device="cpu")
-        pressed._pairs.multiply(
-            pressed._clay,
-            pressed._bodies,
-            pressed._material,
-            pressed._own_block,
+        pressed.pairs.multiply(
+            pressed.clay,
+            pressed.bodies,
+            pressed.particles.material,
+            pressed.own_block,
             direction,
             wp.zeros(count, dtype=float, device="cpu"),
             product,
@@ -114,9 +117,9 @@ def test_tangent_is_symmetric_and_positive(pressed: Solver):
     assert one_two == pytest.approx(two_one, abs=1e-5 * energy)
 
 
-def test_rest_lengths_are_equal_at_both_ends(pressed: Solver):
+def test_rest_lengths_are_equal_at_both_ends(pressed: PlasticBonds):
     """Keep the same rest length at both ends of every bond, to float32 rounding."""
-    neighbors = pressed._neighbors
+    neighbors = pressed.neighbors
     count = neighbors.count.numpy()
     index, length = neighbors.index.numpy(), neighbors.rest_length.numpy()
     kept = {

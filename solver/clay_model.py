@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the solver asks of a clay model."""
+
+from typing import Protocol
+
+from numpy.typing import NDArray
+
+from .contact import ContactPass
+
+
+class ClayModel(Protocol):
+    """Computes what clay does to itself and to the colliders in a substep.
+
+    A model is built with the particles, the contacts and the settings, and changes them in place.
+    """
+
+    def begin_step(self) -> None:
+        """Prepare for the substeps of a step."""
+
+    def run_substep(self, substep: ContactPass) -> None:
+        """Find contacts, change velocities, move particles, sum the impulses on colliders."""
+
+    def compression(self) -> NDArray:
+        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+
+    @property
+    def overflow(self) -> int:
+        """How often something found no room in a list, since the beginning."""
+
+    def passes(self) -> list[str]:
+        """What a substep consists of, in order, for people to read."""
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """All of its state that decides what the next steps do."""
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The default clay: bonds that yield by stress, solved for implicitly."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from .bond_law import (
+    BOND_REACH,
+    FORM_REACH,
+    Body,
+    Clay,
+    PairLaw,
+    make_bodies,
+    make_clay,
+    make_pair_laws,
+)
+from .coarse_space import CoarseSpace
+from .conjugate_gradients import ConjugateGradients
+from .contact import ContactPass, Contacts
+from .neighbors import Neighbors
+from .pairs import Pairs
+from .particles import Particles
+from .recording import Recordings
+from .settings import Settings
+
+SKIN = 0.75
+"""Extra reach of neighbour lists, in spacings."""
+MOST_LAWS = 64
+"""Lengths of substep whose laws are kept."""
+NEWTON_STEPS = 2
+"""Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
+
+
+class PlasticBonds:
+    """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
+
+    In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
+    each substep solves for all velocities at once, by two Newton steps of conjugate gradients
+    (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
+    doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
+    whole-body motion are exact.
+
+    Args:
+        particles: What the clay consists of.
+        contacts: What it touches.
+        settings: How finely to work.
+    """
+
+    def __init__(self, particles: Particles, contacts: Contacts, settings: Settings) -> None:
+        self.particles = particles
+        self.contacts = contacts
+        self.settings = settings
+        count, spacing, device = particles.count, particles.spacing, particles.device
+        self.device = device
+        self.diagonal = wp.zeros(count, dtype=wp.mat33, device=device)
+        self.own_block = wp.zeros(count, dtype=wp.mat33, device=device)
+        self.bodies = wp.array(make_bodies(particles.materials, spacing), dtype=Body, device=device)
+        # Bonds stay listed however long they are; only those still to form must be found.
+        self.neighbors = Neighbors(count, FORM_REACH * spacing, SKIN * spacing, device)
+        self.pairs = Pairs(count, device)
+        self.gradients = ConjugateGradients(count, device)
+        self.coarse = CoarseSpace(count, spacing, device)
+        self._recordings = Recordings(device)
+        self._laws: dict[float, tuple[Clay, wp.array]] = {}
+        if count:
+            self.neighbors.rebuild(particles.position)
+            if settings.elastoplasticity:
+                self.neighbors.bond_all(particles.position, BOND_REACH * spacing)
+
+    def begin_step(self) -> None:
+        """Lay the coarse cells over the clay."""
+        self.coarse.place_cells(self.particles.position)
+
+    def run_substep(self, substep: ContactPass) -> None:
+        """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
+        self.neighbors.rebuild_if_moved(self.particles.position)
+        self._prepare_law(substep.time_step)
+        # Generations, not addresses: a new array may lie where an old one was.
+        key = (
+            substep.time_step,
+            substep.time_step_before,
+            self.coarse.generation,
+            self.contacts.generation,
+        )
+        self._recordings.run((*key, "open"), lambda: self._open(substep))
+        self.coarse.invert(self.particles.least_mass)
+        self._recordings.run((*key, "close"), lambda: self._close(substep))
+
+    def _prepare_law(self, time_step: float) -> None:
+        """Take up the laws for a substep; recordings hold on to those made before."""
+        if time_step not in self._laws:
+            if len(self._laws) >= MOST_LAWS:
+                self._laws.clear()
+                self._recordings.clear()
+            materials, spacing = self.particles.materials, self.particles.spacing
+            laws = make_pair_laws(materials, self.settings, spacing, time_step)
+            self._laws[time_step] = (
+                make_clay(self.settings, spacing, len(materials), time_step),
+                wp.array(laws, dtype=PairLaw, device=self.device),
+            )
+        self.clay, self.pair_laws = self._laws[time_step]
+
+    def _open(self, substep: ContactPass) -> None:
+        """Everything up to the coarse matrix."""
+        particles = self.particles
+        self.pairs.gather(self.clay, particles.position, self.neighbors)
+        particles.fall_freely(substep.time_step, substep.time_step_before)
+        self.contacts.find(substep)
+        self._linearize(substep)
+        self.coarse.assemble(particles.position, self.own_block, self.pairs)
+
+    def _close(self, substep: ContactPass) -> None:
+        """Newton's method, and what follows from the velocities it finds."""
+        particles = self.particles
+        for newton in range(NEWTON_STEPS):
+            if newton > 0:
+                self._linearize(substep)
+            self.gradients.solve(
+                self.settings.iterations,
+                self.clay,
+                self.bodies,
+                particles.material,
+                particles.position,
+                self.pairs,
+                self.diagonal,
+                self.own_block,
+                self.coarse,
+                particles.velocity,
+            )
+        self.contacts.settle(substep, self.gradients.change)
+        self.pairs.measure(self.clay, particles.velocity)
+        self.pairs.flow(self.clay, self.pair_laws, particles.material, self.neighbors)
+        particles.move(substep.time_step)
+
+    def _linearize(self, substep: ContactPass) -> None:
+        """Residual and tangent of pairs and contacts at the present velocities."""
+        particles = self.particles
+        self.pairs.measure(self.clay, particles.velocity)
+        self.pairs.sum_forces(
+            self.clay,
+            self.pair_laws,
+            self.bodies,
+            particles.material,
+            particles.velocity_free,
+            particles.velocity,
+            self.gradients.residual,
+            self.diagonal,
+        )
+        self.contacts.press(substep, self.gradients.residual, self.diagonal, self.own_block)
+
+    def compression(self) -> NDArray[np.float32]:
+        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+        return self.pairs.rows.compression.numpy()
+
+    @property
+    def overflow(self) -> int:
+        """Neighbours and pairs that found no room, since the beginning."""
+        return self.neighbors.overflow + int(self.pairs.overflow.numpy()[0])
+
+    def passes(self) -> list[str]:
+        """What a substep consists of."""
+        return ["neighbour lists", "bonds" if self.settings.elastoplasticity else "pressure"]
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """Bonds, and what they have been through."""
+        return {
+            "compression": self.compression().copy(),
+            "pair_overflow": self.pairs.overflow.numpy().copy(),
+            **self.neighbors.snapshot(),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        self.pairs.rows.compression.assign(state["compression"])
+        self.pairs.overflow.assign(state["pair_overflow"])
+        self.neighbors.restore(state)
