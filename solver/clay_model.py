@@ -5,7 +5,7 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from .contact import ContactPass
+from .contact_law import ContactPass
 
 
 class ClayModel(Protocol):

@@ -9,111 +9,31 @@ chapter 3), and once more at the end of each solve: then no net impulse is left 
 so momentum is kept and a block at rest weighs exactly what it should.
 """
 
-import itertools
-
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from .pair_rows import PairRows, pair_direction
+from . import coarse_space_cpu
+from .awake import Awake, awake_particle
+from .coarse_modes import MODES, assemble, rigid_row
 from .pairs import Pairs
+from .particles import Particles
 
 CELL = 8.0
 """Edge of a cell, in spacings."""
 MOST_CELLS = 64
 """Cells grow until no more than this are occupied."""
-MODES = 6
+_GRID_LIMIT = 1 << 18
+_REBUILDS = 4
+"""Cells are laid anew after the neighbour lists have been, this many times."""
 
 
 @wp.func
-def rigid_row(arm: wp.vec3, direction: wp.vec3) -> wp.spatial_vector:
-    """How a cell's six rigid modes move a particle along a direction."""
-    turn = wp.cross(arm, direction)
-    return wp.spatial_vector(direction[0], direction[1], direction[2], turn[0], turn[1], turn[2])
-
-
-@wp.func
-def add_block(
-    matrix: wp.array2d[float],
-    row: int,
-    column: int,
-    a: wp.spatial_vector,
-    b: wp.spatial_vector,
-    scale: float,
-) -> None:
-    """Add scale a b^T to the 6x6 block of two cells."""
+def add_to_modes(sums: wp.array[float], cell: int, arm: wp.vec3, impulse: wp.vec3) -> None:
+    """Sum an impulse onto a cell's modes."""
+    row = rigid_row(arm, impulse)
     for p in range(MODES):
-        ap = a[p] * scale
-        for q in range(MODES):
-            wp.atomic_add(matrix, MODES * row + p, MODES * column + q, ap * b[q])
-
-
-@wp.kernel(enable_backward=False)
-def assemble(
-    cell: wp.array[int],
-    center: wp.array[wp.vec3],
-    position: wp.array[wp.vec3],
-    own_block: wp.array[wp.mat33],
-    pairs: PairRows,
-    matrix: wp.array2d[float],
-) -> None:
-    """Sum P^T A P: mass and contacts of each particle, and bonds that join two cells."""
-    i = wp.tid()
-    own = cell[i]
-    x = position[i]
-    arm = x - center[own]
-    block = own_block[i]
-    for axis in range(3):
-        unit = wp.vec3(
-            wp.where(axis == 0, 1.0, 0.0),
-            wp.where(axis == 1, 1.0, 0.0),
-            wp.where(axis == 2, 1.0, 0.0),
-        )
-        add_block(matrix, own, own, rigid_row(arm, unit), rigid_row(arm, block * unit), 1.0)
-    for e in range(pairs.count[i]):
-        j = pairs.other[i, e]
-        theirs = cell[j]
-        if theirs != own:
-            # Both ends keep the pair: each adds its own row of blocks.
-            n = pair_direction(pairs, i, e)
-            mine = rigid_row(arm, n)
-            add_block(matrix, own, own, mine, mine, pairs.stiffness[i, e])
-            add_block(
-                matrix, own, theirs, mine, rigid_row(x - center[theirs], n), -pairs.stiffness[i, e]
-            )
-
-
-@wp.kernel(enable_backward=False)
-def restrict(
-    cell: wp.array[int],
-    center: wp.array[wp.vec3],
-    position: wp.array[wp.vec3],
-    residual: wp.array[wp.vec3],
-    sums: wp.array[float],
-) -> None:
-    """Sum the residual onto the cells' modes."""
-    i = wp.tid()
-    own = cell[i]
-    row = rigid_row(position[i] - center[own], residual[i])
-    for p in range(MODES):
-        wp.atomic_add(sums, MODES * own + p, row[p])
-
-
-@wp.kernel(enable_backward=False)
-def apply_inverse(
-    inverse: wp.array2d[float],
-    first: wp.array[int],
-    last: wp.array[int],
-    sums: wp.array[float],
-    modes: wp.array[float],
-) -> None:
-    """Multiply by the inverse of the coarse matrix, block by block."""
-    row = wp.tid()
-    cell = row // MODES
-    total = float(0.0)
-    for column in range(MODES * first[cell], MODES * last[cell]):
-        total += inverse[row, column] * sums[column]
-    modes[row] = total
+        wp.atomic_add(sums, MODES * cell + p, row[p])
 
 
 @wp.func
@@ -125,142 +45,244 @@ def prolong(cell: int, arm: wp.vec3, modes: wp.array[float]) -> wp.vec3:
     return shift + wp.cross(turn, arm)
 
 
+@wp.kernel(enable_backward=False)
+def find_boxes(
+    awake: Awake,
+    position: wp.array[wp.vec3],
+    low: wp.vec3,
+    inverse_edge: wp.vec3,
+    y_count: int,
+    z_count: int,
+    cell: wp.array[int],
+    occupants: wp.array[int],
+    sums: wp.array[wp.vec3],
+) -> None:
+    """Find the box each particle lies in, and sum up the boxes' occupants."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    place = wp.cw_mul(position[i] - low, inverse_edge)
+    # The highest particle lies on the outer face of the last box.
+    box = (int(place[0]) * y_count + int(place[1])) * z_count + int(place[2])
+    cell[i] = box
+    wp.atomic_add(occupants, box, 1)
+    wp.atomic_add(sums, box, position[i] - low)
+
+
+@wp.kernel(enable_backward=False)
+def number_cells(awake: Awake, number: wp.array[int], cell: wp.array[int]) -> None:
+    """Replace boxes by the numbers of those that are occupied."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        cell[i] = number[cell[i]]
+
+
+@wp.kernel(enable_backward=False)
+def apply_inverse(
+    size: wp.array[int],
+    inverse: wp.array2d[float],
+    sums: wp.array[float],
+    modes: wp.array[float],
+    energy: wp.array[wp.float64],
+    place: int,
+) -> None:
+    """Multiply by the inverse of the coarse matrix."""
+    row = wp.tid()
+    if row >= size[0]:
+        return
+    total = float(0.0)
+    for column in range(size[0]):
+        total += inverse[row, column] * sums[column]
+    modes[row] = total
+    wp.atomic_add(energy, place, wp.float64(total * sums[row]))
+
+
 class CoarseSpace:
     """Cells, their matrix and its inverse.
 
     Args:
-        particle_count: Number of particles.
-        spacing: Particle spacing [m].
-        device: Warp device.
+        particles: What the cells hold.
     """
 
-    def __init__(self, particle_count: int, spacing: float, device: wp.Device) -> None:
-        self.device = device
-        self.particle_count = particle_count
-        self.spacing = spacing
-        self.cell = wp.zeros(particle_count, dtype=int, device=device)
+    def __init__(self, particles: Particles) -> None:
+        self.particles = particles
+        self.device = particles.device
+        self.cell = wp.zeros(particles.count, dtype=int, device=self.device)
         self.generation = 0
+        self.placed_at = -_REBUILDS
+        self.size = wp.zeros(1, dtype=int, device=self.device)
+        """Rows of the matrix in use."""
+        # Cells of one or two particles cannot turn; a little inertia keeps them quiet.
+        ridge = [1e-6] * 3 + [0.1 * particles.spacing**2] * 3
+        self.ridge = np.array(ridge) * particles.least_mass
         self._resize(1)
 
     def _resize(self, cells: int) -> None:
         self.generation += 1
         size = MODES * cells
         self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
-        self.first = wp.zeros(cells, dtype=int, device=self.device)
-        self.last = wp.zeros(cells, dtype=int, device=self.device)
-        self.blocks: list[tuple[int, int]] = []
-        self.matrix = wp.zeros((size, size), dtype=float, device=self.device)
-        self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
+        # Vector units add eight numbers where a mode has six.
+        self.matrix = wp.zeros((size + 1, size + 8), dtype=float, device=self.device)
+        if self.device.is_cpu:
+            self.factor = coarse_space_cpu.Factor(size, self.device)
+        else:
+            self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
         self.sums = wp.zeros(size, dtype=float, device=self.device)
         self.modes = wp.zeros(size, dtype=float, device=self.device)
 
-    def place_cells(self, position: wp.array) -> None:
-        """Lay cells over the particles."""
-        points = position.numpy().astype(np.float64)
-        low, extent = points.min(0), np.ptp(points, axis=0)
-        edge = CELL * self.spacing
+    def place_cells(self, rebuild_count: int) -> None:
+        """Lay cells over the particles, unless they still lie well.
+
+        Args:
+            rebuild_count: How often neighbour lists were filled: tells how far things moved.
+        """
+        if rebuild_count < self.placed_at + _REBUILDS:
+            return
+        self.placed_at = rebuild_count
+        particles = self.particles
+        low, high = particles.box()
+        extent = (high - low).astype(np.float64)
+        edge = CELL * particles.spacing
         while True:
             counts = np.maximum(np.round(extent / edge), 1.0)
-            place = np.minimum((points - low) / np.maximum(extent / counts, 1e-30), counts - 1)
-            whole = place.astype(np.int64)
-            key = (whole[:, 0] * int(counts[1]) + whole[:, 1]) * int(counts[2]) + whole[:, 2]
-            _, occupant, cell = np.unique(key, return_index=True, return_inverse=True)
-            cells = len(occupant)
-            if cells <= MOST_CELLS:
-                break
+            if np.prod(counts) <= _GRID_LIMIT:
+                boxes = counts.astype(int)
+                occupants, sums = self._fill_boxes(low, extent, boxes)
+                occupied = np.flatnonzero(occupants)
+                if len(occupied) <= MOST_CELLS:
+                    break
             edge *= 1.25
-        places = whole[occupant]
-        group = _connected_groups((np.abs(places[:, None] - places[None]) <= 1).all(2))
+        places = np.stack(np.unravel_index(occupied, boxes), 1)
+        group = connected_groups((np.abs(places[:, None] - places[None]) <= 1).all(2))
         order = np.argsort(group, kind="stable")
-        number = np.empty(cells, np.int64)
-        number[order] = np.arange(cells)
-        cell = number[cell.reshape(-1)]
-        starts = np.searchsorted(group[order], np.unique(group))
-        self._place_blocks(cells, [*starts.tolist(), cells])
-        room = self.center.shape[0]
-        sizes = np.bincount(cell, minlength=cells)
-        center = np.zeros((room, 3), np.float32)
-        center[:cells] = np.stack([np.bincount(cell, axis, cells) / sizes for axis in points.T], 1)
-        self.cell.assign(cell.astype(np.int32))
-        self.center.assign(center)
-
-    def _place_blocks(self, cells: int, bounds: list[int]) -> None:
-        """Note which cells touch each other, directly or through others: only those couple."""
-        room = 1 << (cells - 1).bit_length()
-        if room > self.center.shape[0]:
+        number = np.zeros(len(occupants), np.int32)
+        number[occupied[order]] = np.arange(len(occupied))
+        particles.launch(number_cells, wp.array(number, dtype=int, device=self.device), self.cell)
+        room = 1 << (len(occupied) - 1).bit_length()
+        if room > len(self.center):
             self._resize(room)
-        first = np.zeros(room, np.int32)
-        last = np.zeros(room, np.int32)
-        self.blocks = list(itertools.pairwise(bounds))
-        for begin, end in self.blocks:
-            first[begin:end], last[begin:end] = begin, end
-        self.first.assign(first)
-        self.last.assign(last)
+        center = np.zeros((len(self.center), 3), np.float32)
+        chosen = occupied[order]
+        center[: len(chosen)] = low + sums[chosen] / occupants[chosen, None]
+        self.center.assign(center)
+        self.size.fill_(MODES * len(occupied))
 
-    def assemble(self, position: wp.array, own_block: wp.array, pairs: Pairs) -> None:
+    def snapshot(self) -> dict[str, NDArray]:
+        """How the cells lie."""
+        return {
+            "coarse_cell": self.cell.numpy().copy(),
+            "coarse_center": self.center.numpy().copy(),
+            "coarse_counts": np.array([int(self.size.numpy()[0]), self.placed_at]),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        if len(state["coarse_center"]) > len(self.center):
+            self._resize(len(state["coarse_center"]))
+        center = np.zeros((len(self.center), 3), np.float32)
+        center[: len(state["coarse_center"])] = state["coarse_center"]
+        self.center.assign(center)
+        self.cell.assign(state["coarse_cell"])
+        size, self.placed_at = (int(n) for n in state["coarse_counts"])
+        self.size.fill_(size)
+
+    def _fill_boxes(self, low: NDArray, extent: NDArray, boxes: NDArray) -> tuple[NDArray, NDArray]:
+        """Count and sum up what lies in each box of a grid over the particles."""
+        total = int(np.prod(boxes))
+        occupants = wp.zeros(total, dtype=int, device=self.device)
+        sums = wp.zeros(total, dtype=wp.vec3, device=self.device)
+        inverse = boxes * (1.0 - 1e-6) / np.maximum(extent, 1e-30)
+        self.particles.launch(
+            find_boxes,
+            self.particles.position,
+            wp.vec3(*low),
+            wp.vec3(*inverse),
+            int(boxes[1]),
+            int(boxes[2]),
+            self.cell,
+            occupants,
+            sums,
+        )
+        return occupants.numpy(), sums.numpy()
+
+    def assemble(self, own_block: wp.array, pairs: Pairs) -> None:
         """Sum the coarse matrix.
 
         Args:
-            position: Particle positions [m].
             own_block: Mass and contact stiffness of each particle [kg].
             pairs: The acting pairs with their stiffness.
         """
         self.matrix.zero_()
-        wp.launch(
-            assemble,
-            dim=self.particle_count,
-            inputs=[
-                self.cell,
-                self.center,
-                position,
-                own_block,
-                pairs.rows,
-                self.matrix,
-            ],
-            device=self.device,
-        )
+        inputs = [
+            self.cell,
+            self.center,
+            self.particles.position,
+            own_block,
+            pairs.rows,
+            self.matrix,
+        ]
+        if self.device.is_cpu:
+            self.particles.launch_blocks(coarse_space_cpu.assemble, *inputs)
+            self.factor.take(self.size, self.center, self.ridge, self.matrix)
+        else:
+            self.particles.launch(assemble, *inputs)
 
-    def invert(self, least_mass: float) -> None:
-        """Invert the coarse matrix, on the host: it is small, and smaller for each body of clay.
-
-        Args:
-            least_mass: A particle's mass [kg], to weigh modes that nothing holds.
-        """
-        matrix = self.matrix.numpy()
-        inverse = np.zeros_like(matrix)
-        cells = self.blocks[-1][1]
-        joined = matrix.reshape(len(self.first), MODES, len(self.first), MODES)[:cells, :, :cells]
-        group = _connected_groups(joined.any((1, 3)) | np.eye(cells, dtype=bool))
-        for number in np.unique(group):
-            members = np.flatnonzero(group == number)
-            rows = (MODES * members[:, None] + np.arange(MODES)).ravel()
-            part = np.ix_(rows, rows)
-            block = matrix[part].astype(np.float64)
-            block = 0.5 * (block + block.T)
-            # Cells of one or two particles cannot turn; a little inertia keeps them quiet.
-            ridge = np.tile([1e-6] * 3 + [0.1 * self.spacing**2] * 3, len(members))
-            block[np.diag_indices_from(block)] += ridge * least_mass
-            inverse[part] = np.linalg.inv(block)
+    def invert(self) -> None:
+        """Invert the coarse matrix on the host, for a graphics card; the CPU has done so."""
+        if self.device.is_cpu:
+            return
+        cells = int(self.size.numpy()[0]) // MODES
+        matrix = join_blocks(self.matrix.numpy(), self.center.numpy()[:cells])
+        matrix[np.diag_indices_from(matrix)] += np.tile(self.ridge, cells)
+        inverse = np.zeros(self.inverse.shape, np.float32)
+        inverse[: len(matrix), : len(matrix)] = np.linalg.inv(matrix)
         self.inverse.assign(inverse)
 
-    def solve(self, position: wp.array, residual: wp.array) -> None:
-        """Find the cells' motions for a residual; `prolong` hands them to particles."""
-        self.sums.zero_()
-        wp.launch(
-            restrict,
-            dim=self.particle_count,
-            inputs=[self.cell, self.center, position, residual, self.sums],
-            device=self.device,
-        )
+    def solve(self, energy: wp.array, place: int) -> None:
+        """Find the cells' motions for the summed residual; `prolong` hands them to particles.
+
+        Args:
+            energy: Residual times motion is added to it at ``place`` [J].
+            place: Where.
+        """
+        if self.device.is_cpu:
+            self.factor.solve(self.size, self.sums, self.modes, energy, place)
+            return
         wp.launch(
             apply_inverse,
-            dim=self.sums.shape[0],
-            inputs=[self.inverse, self.first, self.last, self.sums, self.modes],
+            dim=len(self.sums),
+            inputs=[self.size, self.inverse, self.sums, self.modes, energy, place],
             device=self.device,
         )
 
 
-def _connected_groups(joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+def join_blocks(matrix: NDArray[np.float32], center: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The coarse matrix from what `assemble` summed.
+
+    Args:
+        matrix: Blocks as `assemble` left them.
+        center: Centres of the cells [m], shape [C, 3].
+
+    Returns:
+        P^T A P, symmetric, shape [6 C, 6 C].
+    """
+    cells = len(center)
+    size = MODES * cells
+    blocks = matrix[:size, :size].astype(np.float64).reshape(cells, MODES, cells, MODES)
+    full = np.zeros_like(blocks)
+    for a in range(cells):
+        for b in range(cells):
+            block = blocks[a, :, b]
+            full[a, :, a] += block
+            if a != b:
+                turned = block.copy()
+                turned[:, 3:] += np.cross(center[a] - center[b], block[:, :3])
+                full[a, :, b] = -turned
+    joined = full.reshape(size, size)
+    return 0.5 * (joined + joined.T)
+
+
+def connected_groups(joined: NDArray[np.bool_]) -> NDArray[np.int64]:
     """A number for each group of cells that are joined, directly or through others.
 
     Args:

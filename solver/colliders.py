@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Colliders on the device: where planes stand, and the way of meshes through a step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
@@ -39,21 +39,56 @@ class PlaneColliders:
 
 
 @dataclass
+class _Shape:
+    """Where a mesh collider stands, and what it looks like there."""
+
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    vertices: NDArray[np.float64]
+    """Stretched, in the frame that moves with the collider [m], shape [V, 3]."""
+    corners: NDArray[np.float64]
+    """Of their box, shape [8, 3]."""
+    orientation: float
+    """-1 where the pose mirrors."""
+    version: int
+    """`MeshCollider.shape_version`."""
+
+    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the moving frame in the world."""
+        return points @ self.rotation.T + self.translation
+
+
+def _shape_of(collider: MeshCollider, before: _Shape | None) -> _Shape:
+    """Split a pose into rotation, translation and stretched vertices (polar decomposition)."""
+    translation = collider.pose[:3, 3].copy()
+    if before and before.version == collider.shape_version:
+        return replace(before, translation=translation)
+    rotation, stretch = rotation_and_stretch(collider.pose[:3, :3])
+    vertices = collider.vertices @ stretch.T
+    if before and vertices.shape == before.vertices.shape:
+        tolerance = 1e-6 * _size(before.corners)
+        if np.abs(vertices - before.vertices).max() <= tolerance:
+            # It only turned: keep the very same vertices, so that the mesh need not be refitted.
+            vertices = before.vertices
+    axes = vertices.T.copy()
+    low, high = axes.min(1), axes.max(1)
+    corners = np.where(_CORNERS, high, low)
+    orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
+    return _Shape(rotation, translation, vertices, corners, orientation, collider.shape_version)
+
+
+_CORNERS = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
+
+
+@dataclass
 class _MovingMesh:
     """One mesh collider on the device, and where it stood at the end of the last step."""
 
     collider: MeshCollider
     mesh: wp.Mesh
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    vertices: NDArray[np.float64]
-    orientation: float
-    shape_version: int
+    shape: _Shape
     start: wp.array | None = None
     end: wp.array | None = None
-
-    def world(self) -> NDArray[np.float64]:
-        return self.vertices @ self.rotation.T + self.translation
 
 
 class MeshColliders:
@@ -74,40 +109,33 @@ class MeshColliders:
         self.device = device
         self.moving: list[_MovingMesh] = []
         for collider in colliders:
-            rotation, translation, vertices, orientation = _rigid_and_shape(collider)
+            shape = _shape_of(collider, None)
             mesh = wp.Mesh(
-                points=wp.array(vertices, dtype=wp.vec3, device=device),
+                points=wp.array(shape.vertices, dtype=wp.vec3, device=device),
                 indices=wp.array(collider.faces.ravel(), dtype=int, device=device),
-                velocities=wp.zeros(len(vertices), dtype=wp.vec3, device=device),
+                velocities=wp.zeros(len(shape.vertices), dtype=wp.vec3, device=device),
                 support_winding_number=True,
             )
-            self.moving.append(
-                _MovingMesh(
-                    collider,
-                    mesh,
-                    rotation,
-                    translation,
-                    vertices,
-                    orientation,
-                    collider.shape_version,
-                )
-            )
+            self.moving.append(_MovingMesh(collider, mesh, shape))
         count = len(colliders)
         self.mesh = wp.array([m.mesh.id for m in self.moving], dtype=wp.uint64, device=device)
         self.reach = wp.zeros(count, dtype=float, device=device)
         self.travel = wp.zeros(count, dtype=float, device=device)
         self.orientation = wp.array(
-            [m.orientation for m in self.moving], dtype=float, device=device
+            [m.shape.orientation for m in self.moving], dtype=float, device=device
         )
         self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
         self.generation = 0
         self.substep = wp.zeros(1, dtype=int, device=device)
         """Which of a step's substeps is under way; on the device, so that it can be recorded."""
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
-        self._targets: list[tuple] = []
+        self._targets: list[_Shape] = []
 
-    def farthest_motion(self) -> tuple[list[float], list[NDArray[np.float64]]]:
+    def farthest_motion(self, ignored: float) -> tuple[list[float], list[NDArray[np.float64]]]:
         """How far any vertex of each collider is going to move in this step, and where.
+
+        Args:
+            ignored: Motions that are surely less than this need not be exact [m].
 
         Returns:
             Distances [m], and the boxes that the colliders sweep, shape [2, 3] each: lowest and
@@ -117,13 +145,15 @@ class MeshColliders:
         motions = []
         boxes = []
         for moving in self.moving:
-            target = _rigid_and_shape(moving.collider)
-            self._targets.append(target)
-            end = target[2] @ target[0].T + target[1]
-            begin = moving.world()
-            motions.append(float(np.linalg.norm(end - begin, axis=1).max()))
-            low = np.minimum(begin.min(0), end.min(0))
-            boxes.append(np.array([low, np.maximum(begin.max(0), end.max(0))]))
+            begin, end = moving.shape, _shape_of(moving.collider, moving.shape)
+            self._targets.append(end)
+            # An affine motion takes no point of a box farther than the farthest corner.
+            motion = _longest(end.moved(begin.corners) - begin.moved(begin.corners))
+            if end.vertices is not begin.vertices or motion > ignored:
+                motion = _longest(end.moved(end.vertices) - begin.moved(begin.vertices))
+            motions.append(motion)
+            swept = np.concatenate([begin.moved(begin.corners), end.moved(end.corners)])
+            boxes.append(np.array([swept.min(0), swept.max(0)]))
         return motions, boxes
 
     def begin_step(self, substeps: int, motions: list[float], teleported: list[bool]) -> None:
@@ -134,40 +164,33 @@ class MeshColliders:
             motions: What `farthest_motion` gave [m].
             teleported: Colliders that jump to their target at once instead of sweeping there.
         """
+        targets = self._targets
         poses = np.zeros((len(self.moving), substeps + 1, 7), np.float32)
         reach = np.zeros(len(self.moving), np.float32)
-        for which, (moving, target) in enumerate(zip(self.moving, self._targets, strict=True)):
-            rotation, translation, vertices, orientation = target
-            if orientation != moving.orientation:
-                self.orientation.assign(np.array([t[3] for t in self._targets], np.float32))
-            start_rotation, start_translation = moving.rotation, moving.translation
-            start_vertices = moving.vertices
+        if any(
+            t.orientation != m.shape.orientation for t, m in zip(targets, self.moving, strict=True)
+        ):
+            self.orientation.assign(np.array([t.orientation for t in targets], np.float32))
+        for which, (moving, target) in enumerate(zip(self.moving, targets, strict=True)):
+            before = target if teleported[which] else moving.shape
             if teleported[which]:
-                start_rotation, start_translation = rotation, translation
-                start_vertices = vertices
                 row = self.clearance.numpy()
                 row[which] = 0.0
                 self.clearance.assign(row)
-            poses[which] = _way(start_rotation, rotation, start_translation, translation, substeps)
-            deforms = moving.shape_version != moving.collider.shape_version and not (
-                np.allclose(start_vertices, vertices, rtol=0.0, atol=1e-6 * _size(vertices))
-            )
-            if deforms:
-                moving.start = wp.array(start_vertices, dtype=wp.vec3, device=self.device)
-                moving.end = wp.array(vertices, dtype=wp.vec3, device=self.device)
+            poses[which] = _way(before, target, substeps)
+            if target.vertices is not before.vertices:
+                moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
+                moving.end = wp.array(target.vertices, dtype=wp.vec3, device=self.device)
                 moving.mesh.velocities.assign(
-                    ((vertices - start_vertices) / substeps).astype(np.float32)
+                    ((target.vertices - before.vertices) / substeps).astype(np.float32)
                 )
-            else:
-                if moving.end is not None or teleported[which]:
-                    moving.mesh.velocities.zero_()
-                    moving.mesh.points.assign(vertices.astype(np.float32))
-                    moving.mesh.refit()
+            elif moving.end is not None or target.vertices is not moving.shape.vertices:
+                moving.mesh.velocities.zero_()
+                moving.mesh.points.assign(target.vertices.astype(np.float32))
+                moving.mesh.refit()
                 moving.start = moving.end = None
-            reach[which] = 0.5 * _size(vertices)
-            moving.rotation, moving.translation = rotation, translation
-            moving.vertices, moving.orientation = vertices, orientation
-            moving.shape_version = moving.collider.shape_version
+            reach[which] = 0.5 * _size(target.corners)
+            moving.shape = target
         self.reach.assign(reach)
         self.travel.assign(
             np.array(
@@ -192,7 +215,7 @@ class MeshColliders:
             if moving.start is not None:
                 wp.launch(
                     blend_vertices,
-                    dim=len(moving.vertices),
+                    dim=len(moving.shape.vertices),
                     inputs=[moving.start, moving.end, (substep + 1) / substeps, moving.mesh.points],
                     device=self.device,
                 )
@@ -202,47 +225,38 @@ class MeshColliders:
         """Where the colliders stood at the end of the last step."""
         state: dict[str, NDArray] = {"collider_clearance": self.clearance.numpy().copy()}
         for which, moving in enumerate(self.moving):
-            state[f"collider_{which}_rotation"] = moving.rotation.copy()
-            state[f"collider_{which}_translation"] = moving.translation.copy()
-            state[f"collider_{which}_vertices"] = moving.vertices.copy()
-            state[f"collider_{which}_orientation"] = np.array(moving.orientation)
+            for name in ("rotation", "translation", "vertices", "orientation"):
+                value = np.array(getattr(moving.shape, name))
+                state[f"collider_{which}_{name}"] = value
         return state
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
         self.clearance.assign(state["collider_clearance"])
         for which, moving in enumerate(self.moving):
-            moving.rotation = state[f"collider_{which}_rotation"].copy()
-            moving.translation = state[f"collider_{which}_translation"].copy()
-            moving.vertices = state[f"collider_{which}_vertices"].copy()
-            moving.orientation = float(state[f"collider_{which}_orientation"])
-            moving.shape_version = -1
+            vertices = state[f"collider_{which}_vertices"].copy()
+            axes = vertices.T.copy()
+            moving.shape = _Shape(
+                state[f"collider_{which}_rotation"].copy(),
+                state[f"collider_{which}_translation"].copy(),
+                vertices,
+                np.where(_CORNERS, axes.max(1), axes.min(1)),
+                float(state[f"collider_{which}_orientation"]),
+                -1,
+            )
             moving.start = moving.end = None
             moving.mesh.velocities.zero_()
-            moving.mesh.points.assign(moving.vertices.astype(np.float32))
+            moving.mesh.points.assign(vertices.astype(np.float32))
             moving.mesh.refit()
-        self.orientation.assign(np.array([m.orientation for m in self.moving], np.float32))
+        orientations = [m.shape.orientation for m in self.moving]
+        self.orientation.assign(np.array(orientations, np.float32))
 
 
-def _rigid_and_shape(
-    collider: MeshCollider,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """Split a pose into rotation, translation and stretched vertices (polar decomposition)."""
-    rotation, stretch = rotation_and_stretch(collider.pose[:3, :3])
-    orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
-    return rotation, collider.pose[:3, 3].copy(), collider.vertices @ stretch.T, orientation
-
-
-def _way(
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    start_translation: NDArray[np.float64],
-    end_translation: NDArray[np.float64],
-    substeps: int,
-) -> NDArray[np.float32]:
+def _way(start: _Shape, end: _Shape, substeps: int) -> NDArray[np.float32]:
     """Poses from start to end: straight, at constant angular velocity; shape [S + 1, 7]."""
     fraction = np.linspace(0.0, 1.0, substeps + 1)[:, None]
-    first, last = _quaternion(start), _quaternion(end)
+    first = _quaternion(start.rotation)
+    last = first if end.rotation is start.rotation else _quaternion(end.rotation)
     cosine = float(first @ last)
     if cosine < 0.0:
         last, cosine = -last, -cosine
@@ -254,7 +268,7 @@ def _way(
             np.sin(angle)
         )
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    place = start_translation + (end_translation - start_translation) * fraction
+    place = start.translation + (end.translation - start.translation) * fraction
     return np.concatenate([place, turn], axis=1).astype(np.float32)
 
 
@@ -282,6 +296,11 @@ def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     return quaternion / np.linalg.norm(quaternion)
 
 
-def _size(vertices: NDArray[np.float64]) -> float:
-    """Length of the bounding box's diagonal [m]."""
-    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+def _size(corners: NDArray[np.float64]) -> float:
+    """Length of a box's diagonal [m]."""
+    return float(np.linalg.norm(corners[-1] - corners[0]))
+
+
+def _longest(vectors: NDArray[np.float64]) -> float:
+    """Length of the longest of some vectors [m]."""
+    return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max()))

@@ -1,212 +1,167 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Preconditioned conjugate gradients for a Newton step of the pair forces and contacts."""
+"""Preconditioned conjugate gradients for a Newton step of the pair forces and contacts.
 
-from typing import Any
+Sums over all particles are gathered by the passes that make their terms, one place for each
+iteration, so that an iteration is four passes: two of the product, `advance` and `turn`.
+"""
+
+import sys
 
 import warp as wp
 
+from . import conjugate_gradients_cpu
+from .awake import Awake, awake_particle
 from .bond_law import Clay
-from .coarse_space import CoarseSpace, prolong
+from .coarse_space import CoarseSpace, add_to_modes, prolong
 from .pairs import Pairs
+from .particles import Particles, zero_vectors
+from .solve_data import Solve
 
-# Places in the array of scalars.
-_RESIDUAL = 0
-_CURVATURE = 1
-_RESIDUAL_NEXT = 2
+
+@wp.func
+def precondition(solve: Solve, i: int, residual: wp.vec3, iteration: int) -> None:
+    """Keep a particle's residual, and add it to the sums over all."""
+    solve.residual[i] = residual
+    z = solve.inverse[i] * residual
+    solve.z[i] = z
+    wp.atomic_add(solve.size, iteration, wp.float64(wp.dot(z, residual)))
+    own = solve.cell[i]
+    add_to_modes(solve.sums, own, solve.position[i] - solve.center[own], residual)
 
 
 @wp.kernel(enable_backward=False)
-def invert_diagonal(block: wp.array[wp.mat33], inverse: wp.array[wp.mat33]) -> None:
-    """Invert each particle's own block."""
-    i = wp.tid()
-    inverse[i] = wp.inverse(block[i])
-
-
-@wp.kernel(enable_backward=False)
-def start(
-    inverse: wp.array[wp.mat33],
-    residual: wp.array[wp.vec3],
-    z: wp.array[wp.vec3],
-    change: wp.array[wp.vec3],
-) -> None:
+def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     """Begin from no change."""
-    i = wp.tid()
-    z[i] = inverse[i] * residual[i]
-    change[i] = wp.vec3()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    solve.inverse[i] = wp.inverse(diagonal[i])
+    solve.change[i] = wp.vec3()
+    precondition(solve, i, solve.residual[i], 0)
 
 
 @wp.kernel(enable_backward=False)
-def finish_z(
-    cell: wp.array[int],
-    center: wp.array[wp.vec3],
-    modes: wp.array[float],
-    position: wp.array[wp.vec3],
-    residual: wp.array[wp.vec3],
-    z: wp.array[wp.vec3],
-    scalars: wp.array[wp.float64],
-    where: int,
-) -> None:
-    """Add the coarse part to the preconditioned residual, and sum its square."""
-    i = wp.tid()
-    full = z[i] + prolong(cell[i], position[i] - center[cell[i]], modes)
-    z[i] = full
-    wp.atomic_add(scalars, where, wp.float64(wp.dot(full, residual[i])))
-
-
-@wp.kernel(enable_backward=False)
-def turn_direction(
-    z: wp.array[wp.vec3], direction: wp.array[wp.vec3], scalars: wp.array[wp.float64], first: int
-) -> None:
+def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     """Make the next direction conjugate to the last."""
-    i = wp.tid()
-    if first == 1:
-        direction[i] = z[i]
-    else:
-        ratio = float(0.0)
-        if scalars[_RESIDUAL] > wp.float64(0.0):
-            ratio = float(scalars[_RESIDUAL_NEXT] / scalars[_RESIDUAL])
-        direction[i] = z[i] + direction[i] * ratio
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    own = solve.cell[i]
+    z = solve.z[i] + prolong(own, solve.position[i] - solve.center[own], solve.modes)
+    if iteration > 0:
+        before = solve.size[iteration - 1] + solve.coarse_size[iteration - 1]
+        if before > wp.float64(0.0):
+            now = solve.size[iteration] + solve.coarse_size[iteration]
+            z += solve.direction[i] * float(now / before)
+    solve.direction[i] = z
 
 
 @wp.kernel(enable_backward=False)
-def shift_scalars(scalars: wp.array[wp.float64], first: int) -> None:
-    """Make this iteration's residual the last one's."""
-    if first == 0:
-        scalars[_RESIDUAL] = scalars[_RESIDUAL_NEXT]
-    scalars[_RESIDUAL_NEXT] = wp.float64(0.0)
-    scalars[_CURVATURE] = wp.float64(0.0)
-
-
-@wp.kernel(enable_backward=False)
-def sum_curvature(
-    direction: wp.array[wp.vec3], product: wp.array[wp.vec3], scalars: wp.array[wp.float64]
-) -> None:
-    """Sum the direction's energy."""
-    i = wp.tid()
-    wp.atomic_add(scalars, _CURVATURE, wp.float64(wp.dot(product[i], direction[i])))
-
-
-@wp.kernel(enable_backward=False)
-def advance(
-    inverse: wp.array[wp.mat33],
-    direction: wp.array[wp.vec3],
-    product: wp.array[wp.vec3],
-    scalars: wp.array[wp.float64],
-    change: wp.array[wp.vec3],
-    residual: wp.array[wp.vec3],
-    z: wp.array[wp.vec3],
-) -> None:
+def advance(awake: Awake, iteration: int, solve: Solve) -> None:
     """Go along the direction to where the residual is least."""
-    i = wp.tid()
-    if scalars[_CURVATURE] > wp.float64(0.0):
-        length = float(scalars[_RESIDUAL] / scalars[_CURVATURE])
-        change[i] = change[i] + direction[i] * length
-        residual[i] = residual[i] - product[i] * length
-    z[i] = inverse[i] * residual[i]
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    length = float(0.0)
+    if solve.curvature[iteration] > wp.float64(0.0):
+        size = solve.size[iteration] + solve.coarse_size[iteration]
+        length = float(size / solve.curvature[iteration])
+    solve.change[i] = solve.change[i] + solve.direction[i] * length
+    precondition(solve, i, solve.residual[i] - solve.product[i] * length, iteration + 1)
 
 
 @wp.kernel(enable_backward=False)
-def add_rigid(
-    cell: wp.array[int],
-    center: wp.array[wp.vec3],
-    modes: wp.array[float],
-    position: wp.array[wp.vec3],
-    change: wp.array[wp.vec3],
-    velocity: wp.array[wp.vec3],
-) -> None:
+def finish(awake: Awake, solve: Solve, velocity: wp.array[wp.vec3]) -> None:
     """Add what the coarse space still finds, and take the whole change over."""
-    i = wp.tid()
-    whole = change[i] + prolong(cell[i], position[i] - center[cell[i]], modes)
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    own = solve.cell[i]
+    whole = solve.change[i] + prolong(own, solve.position[i] - solve.center[own], solve.modes)
     if not wp.isfinite(whole):
         whole = wp.vec3()
-    change[i] = whole
+    solve.change[i] = whole
     velocity[i] = velocity[i] + whole
+
+
+_PLAIN = sys.modules[__name__]
 
 
 class ConjugateGradients:
     """Work arrays and the iteration.
 
     Args:
-        particle_count: Number of particles.
-        device: Warp device.
+        particles: Whose velocities to solve for.
+        iterations: How many.
     """
 
-    def __init__(self, particle_count: int, device: wp.Device) -> None:
-        self.device = device
-        self.particle_count = particle_count
-        vectors: dict[str, Any] = {"dtype": wp.vec3, "device": device}
-        self.residual = wp.zeros(particle_count, **vectors)
-        self.z = wp.zeros(particle_count, **vectors)
-        self.direction = wp.zeros(particle_count, **vectors)
-        self.product = wp.zeros(particle_count, **vectors)
-        self.change = wp.zeros(particle_count, **vectors)
-        self.inverse = wp.zeros(particle_count, dtype=wp.mat33, device=device)
-        self.pressure_change = wp.zeros(particle_count, dtype=float, device=device)
-        self.scalars = wp.zeros(3, dtype=wp.float64, device=device)
+    def __init__(self, particles: Particles, iterations: int) -> None:
+        self.particles = particles
+        self.iterations = iterations
+        count, device = particles.count, particles.device
+        solve = Solve()
+        for name in ("residual", "z", "product", "change"):
+            setattr(solve, name, wp.zeros(count, dtype=wp.vec3, device=device))
+        solve.direction = zero_vectors(count, device)
+        solve.inverse = wp.zeros(count, dtype=wp.mat33, device=device)
+        for name in ("size", "curvature", "coarse_size"):
+            setattr(solve, name, wp.zeros(iterations + 1, dtype=wp.float64, device=device))
+        solve.position = particles.position
+        self.data = solve
+        self.pressure_change = wp.zeros(count, dtype=float, device=device)
 
-    def _launch(self, kernel: wp.Kernel, *inputs: Any, dim: int | None = None) -> None:
-        count = self.particle_count if dim is None else dim
-        wp.launch(kernel, dim=count, inputs=list(inputs), device=self.device)
+    @property
+    def residual(self) -> wp.array:
+        """Impulse still missing at each particle [N s]; to be filled before `solve`."""
+        return self.data.residual
+
+    @property
+    def change(self) -> wp.array:
+        """What the last solve changed of the velocities [m/s]."""
+        return self.data.change
 
     def solve(
         self,
-        iterations: int,
         clay: Clay,
         bodies: wp.array,
-        material: wp.array,
-        position: wp.array,
         pairs: Pairs,
         diagonal: wp.array,
         own_block: wp.array,
         coarse: CoarseSpace,
-        velocity: wp.array,
     ) -> None:
         """Change velocities so that the residual impulse goes to zero.
 
         Args:
-            iterations: How many.
             clay: What all pairs share.
             bodies: What particles of each material have of their own.
-            material: Each particle's material.
-            position: Positions at the start of the substep [m].
             pairs: The acting pairs with their tangent.
             diagonal: Each particle's block of the tangent [kg], contacts included.
             own_block: Mass and contacts alone [kg].
             coarse: The coarse space, factored.
-            velocity: Velocities to change [m/s].
         """
-        scalars = self.scalars
-        rigid = (coarse.cell, coarse.center, coarse.modes, position)
-        self._launch(invert_diagonal, diagonal, self.inverse)
-        scalars.zero_()
-        self._launch(start, self.inverse, self.residual, self.z, self.change)
-        coarse.solve(position, self.residual)
-        self._launch(finish_z, *rigid, self.residual, self.z, scalars, _RESIDUAL)
-        for iteration in range(iterations):
-            first = int(iteration == 0)
-            self._launch(turn_direction, self.z, self.direction, scalars, first)
-            self._launch(shift_scalars, scalars, first, dim=1)
+        data = self.data
+        on_cpu = self.particles.device.is_cpu
+        passes = conjugate_gradients_cpu if on_cpu else _PLAIN
+        launch = self.particles.launch_blocks if on_cpu else self.particles.launch
+        data.cell, data.center = coarse.cell, coarse.center
+        data.sums, data.modes = coarse.sums, coarse.modes
+        for sums in (data.size, data.curvature, data.coarse_size):
+            sums.zero_()
+        coarse.sums.zero_()
+        launch(passes.start, diagonal, data)
+        coarse.solve(data.coarse_size, 0)
+        for iteration in range(self.iterations):
+            launch(passes.turn, iteration, data)
             pairs.multiply(
                 clay,
                 bodies,
-                material,
                 own_block,
-                self.direction,
+                data.direction,
                 self.pressure_change,
-                self.product,
+                data.product,
+                data.curvature[iteration : iteration + 1],
             )
-            self._launch(sum_curvature, self.direction, self.product, scalars)
-            self._launch(
-                advance,
-                self.inverse,
-                self.direction,
-                self.product,
-                scalars,
-                self.change,
-                self.residual,
-                self.z,
-            )
-            coarse.solve(position, self.residual)
-            if iteration + 1 < iterations:
-                self._launch(finish_z, *rigid, self.residual, self.z, scalars, _RESIDUAL_NEXT)
-        self._launch(add_rigid, *rigid, self.change, velocity)
+            coarse.sums.zero_()
+            launch(passes.advance, iteration, data)
+            coarse.solve(data.coarse_size, iteration + 1)
+        launch(passes.finish, data, self.particles.velocity)

@@ -1,266 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Contact and Coulomb friction between clay particles and planes or moving closed meshes.
-
-A particle is a ball of half the spacing. Contacts are found once a substep and then stay what
-they are, a plane each; how hard they push is part of the implicit solve. Friction holds a contact
-by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
-2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
-a collider is moved out no faster than `DEPENETRATION_SPEED`.
-"""
+"""The contacts of a scene: their slots, and the passes over them."""
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from . import contact_cpu
 from .colliders import MeshColliders, PlaneColliders
+from .contact_law import (
+    MOST_CONTACTS,
+    ContactPass,
+    ContactSlots,
+    Surroundings,
+    find_all_contacts,
+    press_all_contacts,
+    settle_all_contacts,
+)
 from .particles import Particles
 from .scene import MeshCollider, Plane, Scene
-
-DEPENETRATION_SPEED = 0.5
-"""Speed at which something that lies inside a collider is moved out [m/s]."""
-MOST_CONTACTS = 4
-"""Contacts that a particle can have at once."""
-MARGIN = 0.25
-"""Contacts are found this far off the surface, in spacings: a substep may close the gap."""
-CONTACT_STIFFNESS = 2.0
-"""Stiffness of a contact over that of the clay around the particle."""
-
-
-@wp.struct
-class ContactPass:
-    """What all contacts share, for one substep."""
-
-    time_step: float
-    time_step_before: float
-    radius: float
-    """Radius of a particle [m]."""
-    margin: float
-    """How far off contacts are found [m]."""
-
-
-@wp.struct
-class ContactSlots:
-    """Contacts of all particles, `MOST_CONTACTS` for each."""
-
-    count: wp.array[int]
-    collider: wp.array2d[int]
-    normal: wp.array2d[wp.vec3]
-    gap: wp.array2d[float]
-    """Distance between ball and surface at the start of the substep [m]."""
-    surface_motion: wp.array2d[wp.vec3]
-    """What the surface moves in this substep [m]."""
-    anchor: wp.array2d[wp.vec3]
-    """Stretch of the friction spring [m]."""
-    impulse: wp.array2d[wp.vec3]
-    """Impulse on the particle at the velocities last looked at [N s]."""
-    normal_stiffness: wp.array2d[float]
-    """[kg]: force derivative times Δt²."""
-    friction_stiffness: wp.array2d[float]
-    """[kg]; less than the normal one where the contact slides."""
-    count_before: wp.array[int]
-    collider_before: wp.array2d[int]
-    anchor_before: wp.array2d[wp.vec3]
-
-
-@wp.func
-def add_contact(
-    slots: ContactSlots,
-    i: int,
-    collider: int,
-    normal: wp.vec3,
-    gap: float,
-    surface_motion: wp.vec3,
-) -> None:
-    """Give a particle a contact, with the anchor that it had on this collider before."""
-    used = slots.count[i]
-    if used < MOST_CONTACTS:
-        slots.collider[i, used] = collider
-        slots.normal[i, used] = normal
-        slots.gap[i, used] = gap
-        slots.surface_motion[i, used] = surface_motion
-        slots.impulse[i, used] = wp.vec3()
-        anchor = wp.vec3()
-        for k in range(slots.count_before[i]):
-            if slots.collider_before[i, k] == collider:
-                anchor = slots.anchor_before[i, k]
-        slots.anchor[i, used] = anchor - normal * wp.dot(anchor, normal)
-        slots.count[i] = used + 1
-
-
-@wp.kernel(enable_backward=False)
-def find_plane_contacts(
-    common: ContactPass,
-    plane_point: wp.array[wp.vec3],
-    plane_normal: wp.array[wp.vec3],
-    position: wp.array[wp.vec3],
-    velocity: wp.array[wp.vec3],
-    slots: ContactSlots,
-) -> None:
-    """Find the planes that a particle may touch in this substep."""
-    i = wp.tid()
-    for plane in range(plane_point.shape[0]):
-        normal = plane_normal[plane]
-        gap = wp.dot(position[i] - plane_point[plane], normal) - common.radius
-        closing = wp.max(-wp.dot(velocity[i], normal), 0.0) * common.time_step
-        if gap - closing < common.margin:
-            add_contact(slots, i, plane, normal, gap, wp.vec3())
-
-
-@wp.kernel(enable_backward=False)
-def find_mesh_contacts(
-    common: ContactPass,
-    substep: wp.array[int],
-    first_collider: int,
-    mesh: wp.array[wp.uint64],
-    pose: wp.array2d[wp.transform],
-    orientation: wp.array[float],
-    reach: wp.array[float],
-    travel: wp.array[float],
-    position: wp.array[wp.vec3],
-    velocity: wp.array[wp.vec3],
-    clearance: wp.array2d[float],
-    slots: ContactSlots,
-) -> None:
-    """Find the meshes that a particle may touch in this substep.
-
-    ``clearance`` is a lower bound on a particle's distance to a mesh [m]: while motion cannot
-    have used it up, the mesh is not asked.
-    """
-    i = wp.tid()
-    x = position[i]
-    motion = velocity[i] * common.time_step
-    moved = wp.length(velocity[i]) * common.time_step_before
-    near = common.radius + common.margin
-    for which in range(mesh.shape[0]):
-        bound = clearance[which, i] - moved - travel[which]
-        clearance[which, i] = bound
-        if bound - wp.length(motion) > near:
-            continue
-        before = pose[which, substep[0]]
-        after = pose[which, substep[0] + 1]
-        local = wp.transform_point(wp.transform_inverse(after), x + motion)
-        query = wp.mesh_query_point_sign_winding_number(mesh[which], local, reach[which])
-        if not query.result:
-            clearance[which, i] = reach[which] - wp.length(motion)
-            continue
-        nearest = wp.mesh_eval_position(mesh[which], query.face, query.u, query.v)
-        sign = query.sign
-        offset = local - nearest
-        apart = wp.length(offset)
-        clearance[which, i] = sign * apart - wp.length(motion)
-        if sign * apart < near:
-            if apart > 1.0e-4 * common.radius:
-                normal = offset * (sign / apart)
-            else:
-                normal = wp.mesh_eval_face_normal(mesh[which], query.face) * orientation[which]
-            normal = wp.transform_vector(after, normal)
-            drift = wp.mesh_eval_velocity(mesh[which], query.face, query.u, query.v)
-            surface_motion = wp.transform_point(after, nearest) - wp.transform_point(
-                before, nearest - drift
-            )
-            gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
-            add_contact(slots, i, first_collider + which, normal, gap, surface_motion)
-
-
-@wp.kernel(enable_backward=False)
-def press_contacts(
-    common: ContactPass,
-    friction: wp.array2d[float],
-    material: wp.array[int],
-    mass: wp.array[float],
-    velocity: wp.array[wp.vec3],
-    slots: ContactSlots,
-    residual: wp.array[wp.vec3],
-    diagonal: wp.array[wp.mat33],
-    own_block: wp.array[wp.mat33],
-) -> None:
-    """Add contact impulses and their tangent to the system: the one contact law.
-
-    A contact pushes with a stiffness times its penetration, tangentially with that stiffness
-    times the slip of its anchor, but at most μ times the normal push.
-    """
-    i = wp.tid()
-    dt = common.time_step
-    block = wp.identity(n=3, dtype=float) * mass[material[i]]
-    contact_count = int(0)
-    if i < slots.count.shape[0]:
-        contact_count = slots.count[i]
-    if contact_count > 0:
-        stiffness = CONTACT_STIFFNESS * wp.trace(diagonal[i]) / 3.0
-        contacts = wp.mat33()
-        push = wp.vec3()
-        for k in range(contact_count):
-            n = slots.normal[i, k]
-            relative = velocity[i] * dt - slots.surface_motion[i, k]
-            gap = slots.gap[i, k]
-            allowed = wp.min(gap + DEPENETRATION_SPEED * dt, 0.0)
-            depth = allowed - gap - wp.dot(relative, n)
-            impulse = wp.vec3()
-            normal_stiffness = float(0.0)
-            friction_stiffness = float(0.0)
-            if depth > 0.0:
-                normal_stiffness = stiffness
-                normal_push = stiffness * depth / dt
-                slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
-                slip_length = wp.length(slip)
-                limit = friction[material[i], slots.collider[i, k]] * normal_push
-                friction_stiffness = wp.min(stiffness, limit * dt / wp.max(slip_length, 1.0e-12))
-                impulse = n * normal_push - slip * (friction_stiffness / dt)
-                contacts += (
-                    wp.outer(n, n) * (normal_stiffness - friction_stiffness)
-                    + wp.identity(n=3, dtype=float) * friction_stiffness
-                )
-                push += impulse
-            slots.impulse[i, k] = impulse
-            slots.normal_stiffness[i, k] = normal_stiffness
-            slots.friction_stiffness[i, k] = friction_stiffness
-        residual[i] = residual[i] + push
-        diagonal[i] = diagonal[i] + contacts
-        block += contacts
-    own_block[i] = block
-
-
-@wp.kernel(enable_backward=False)
-def settle_contacts(
-    common: ContactPass,
-    friction: wp.array2d[float],
-    material: wp.array[int],
-    velocity: wp.array[wp.vec3],
-    change: wp.array[wp.vec3],
-    slots: ContactSlots,
-    impulse: wp.array[wp.vec3d],
-    deepest: wp.array[float],
-) -> None:
-    """Sum the impulses that the solve applied, and let anchors stretch or slide.
-
-    The impulse is the linear one that the solve saw: what momentum really changed by.
-    """
-    i = wp.tid()
-    dt = common.time_step
-    for k in range(slots.count[i]):
-        n = slots.normal[i, k]
-        relative = velocity[i] * dt - slots.surface_motion[i, k]
-        normal_stiffness = slots.normal_stiffness[i, k]
-        if normal_stiffness > 0.0:
-            held = slots.friction_stiffness[i, k]
-            along = wp.dot(change[i], n)
-            applied = (
-                slots.impulse[i, k]
-                - n * (along * normal_stiffness)
-                - (change[i] - n * along) * held
-            )
-            slots.impulse[i, k] = applied
-            wp.atomic_add(impulse, slots.collider[i, k], wp.vec3d(-applied))
-            slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
-            slip_length = wp.length(slip)
-            limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
-            most = limit * dt / normal_stiffness
-            slots.anchor[i, k] = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
-        else:
-            slots.anchor[i, k] = wp.vec3()
-        wp.atomic_max(deepest, 0, -slots.gap[i, k] - wp.dot(relative, n))
 
 
 class Contacts:
@@ -306,6 +66,14 @@ class Contacts:
                     table[row, column] = math.sqrt(material.friction * collider.friction)
         self.friction = wp.array(table, dtype=float, device=device)
         """Of each material on each collider: the geometric mean of the two."""
+        around = Surroundings()
+        around.plane_point = self.planes.point if self.planes else _nothing(wp.vec3, device)
+        around.plane_normal = self.planes.normal if self.planes else _nothing(wp.vec3, device)
+        if self.meshes:
+            for name in ("mesh", "substep", "orientation", "reach", "travel", "clearance"):
+                setattr(around, name, getattr(self.meshes, name))
+        self._surroundings = around
+        self._near = contact_cpu.make_near(particles.count, device) if device.is_cpu else None
         self.impulse = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
         """On each collider in this step [N s]."""
         self.deepest = wp.zeros(1, dtype=float, device=device)
@@ -323,42 +91,18 @@ class Contacts:
 
     def find(self, common: ContactPass) -> None:
         """Find the contacts of a substep; those that were there before keep their anchors."""
-        if not self.colliders:
-            return
-        slots = self.slots
-        wp.copy(slots.count_before, slots.count)
-        wp.copy(slots.collider_before, slots.collider)
-        wp.copy(slots.anchor_before, slots.anchor)
-        slots.count.zero_()
-        particles = self.particles
-        motion = [particles.position, particles.velocity]
+        around = self._surroundings
         if self.meshes:
-            meshes = self.meshes
-            wp.launch(
-                find_mesh_contacts,
-                dim=particles.count,
-                inputs=[
-                    common,
-                    meshes.substep,
-                    self._plane_count,
-                    meshes.mesh,
-                    meshes.pose,
-                    meshes.orientation,
-                    meshes.reach,
-                    meshes.travel,
-                    *motion,
-                    meshes.clearance,
-                    slots,
-                ],
-                device=self.device,
-            )
-        if self.planes:
-            wp.launch(
-                find_plane_contacts,
-                dim=particles.count,
-                inputs=[common, self.planes.point, self.planes.normal, *motion, slots],
-                device=self.device,
-            )
+            # Arrays may have given way to larger ones.
+            around.pose = self.meshes.pose
+        self._launch(
+            (find_all_contacts, contact_cpu.find_all_contacts),
+            common,
+            around,
+            self.particles.position,
+            self.particles.velocity,
+            self.slots,
+        )
 
     def press(
         self, common: ContactPass, residual: wp.array, diagonal: wp.array, own_block: wp.array
@@ -369,24 +113,20 @@ class Contacts:
             common: The substep.
             residual: Impulse still missing at each particle [N s], added to.
             diagonal: Each particle's block of the tangent [kg], added to.
-            own_block: Mass and contacts alone [kg], written.
+            own_block: Mass and contacts alone [kg], written where there may be contacts.
         """
         particles = self.particles
-        wp.launch(
-            press_contacts,
-            dim=particles.count,
-            inputs=[
-                common,
-                self.friction,
-                particles.material,
-                particles.mass,
-                particles.velocity,
-                self.slots,
-                residual,
-                diagonal,
-                own_block,
-            ],
-            device=self.device,
+        self._launch(
+            (press_all_contacts, contact_cpu.press_all_contacts),
+            common,
+            self.friction,
+            particles.material,
+            particles.mass,
+            particles.velocity,
+            self.slots,
+            residual,
+            diagonal,
+            own_block,
         )
 
     def settle(self, common: ContactPass, change: wp.array) -> None:
@@ -396,24 +136,27 @@ class Contacts:
             common: The substep.
             change: What the last solve changed of the velocities [m/s].
         """
+        self._launch(
+            (settle_all_contacts, contact_cpu.settle_all_contacts),
+            common,
+            self.friction,
+            self.particles.material,
+            self.particles.velocity,
+            change,
+            self.slots,
+            self.impulse,
+            self.deepest,
+        )
+
+    def _launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
+        """Run a pass, by the plain kernel or the CPU's; nothing where there are no colliders."""
         if not self.colliders:
             return
-        particles = self.particles
-        wp.launch(
-            settle_contacts,
-            dim=particles.count,
-            inputs=[
-                common,
-                self.friction,
-                particles.material,
-                particles.velocity,
-                change,
-                self.slots,
-                self.impulse,
-                self.deepest,
-            ],
-            device=self.device,
-        )
+        plain, by_block = kernels
+        if self._near:
+            self.particles.launch_blocks(by_block, *inputs, self._near)
+        else:
+            self.particles.launch(plain, *inputs)
 
     def snapshot(self) -> dict[str, NDArray]:
         """Anchors and what they hold on to, and where meshes stand."""
@@ -435,3 +178,7 @@ class Contacts:
         self.slots.anchor.assign(state["contact_anchor"])
         if self.meshes:
             self.meshes.restore(state)
+
+
+def _nothing(dtype: Any, device: wp.Device) -> wp.array:
+    return wp.zeros(0, dtype=dtype, device=device)

@@ -1,189 +1,204 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Neighbour lists: who is near whom, and which of those pairs are bonded.
+"""Neighbour search: filling the rows of `pair_rows` anew when something has moved too far.
 
-Each particle keeps a row of slots. A slot holds the neighbour's index and the pair's rest
-length: 0 for a free pair, negative while a new bond is being counted in, positive for a bond
-(rest length [m]). Both ends keep their own copy of the rest length; the bond law reads only
-values that are the same at both ends, so the copies stay equal but for rounding and no pass needs
-atomics. Bonds come first in a row, so they survive when a row runs over.
+Bonds stay in a row however long they are; what must be found is only who may come close next.
+On the CPU particles are sorted into cells here; a graphics card uses Warp's hash grid.
 """
+
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-SLOTS = 96
-"""Neighbours a particle can list: clay at three times its density within two spacings."""
+from . import neighbors_cpu
+from .awake import Awake, awake_particle
+from .pair_rows import MOST_SLOTS, PairRows, keep_bonds, swap_slots
+from .pairs import Pairs
+from .particles import Particles
 
 _GRID_CELLS = 64
 
 
 @wp.kernel(enable_backward=False)
 def fill_rows(
+    awake: Awake,
     grid: wp.uint64,
     position: wp.array[wp.vec3],
     reach: float,
-    old_count: wp.array[int],
-    old_index: wp.array2d[int],
-    old_rest_length: wp.array2d[float],
-    count: wp.array[int],
-    index: wp.array2d[int],
-    rest_length: wp.array2d[float],
-    overflow: wp.array[int],
+    pairs: PairRows,
+    needed: wp.array[int],
 ) -> None:
-    """List each particle's neighbours within reach, bonded ones first."""
-    i = wp.tid()
+    """List each particle's neighbours within reach, bonded ones first, as far as there is room."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     x = position[i]
-    used = int(0)
-    for slot in range(old_count[i]):
-        if old_rest_length[i, slot] > 0.0:
-            index[i, used] = old_index[i, slot]
-            rest_length[i, used] = old_rest_length[i, slot]
-            used += 1
-    bonded = used
+    bonded = keep_bonds(pairs, i)
+    first = pairs.first[i]
+    used = bonded
     for j in wp.hash_grid_query(grid, x, reach):
         if j != i and wp.length_sq(position[j] - x) < reach * reach:
             known = bool(False)
-            for slot in range(bonded):
-                if index[i, slot] == j:
+            for e in range(bonded):
+                if pairs.other[first + e] == j:
                     known = True
             if not known:
-                if used < SLOTS:
-                    index[i, used] = j
-                    rest_length[i, used] = 0.0
-                    used += 1
-                else:
-                    wp.atomic_add(overflow, 0, 1)
-    count[i] = used
+                if used < pairs.room[i]:
+                    pairs.other[first + used] = j
+                    pairs.rest_length[first + used] = 0.0
+                used += 1
+    needed[i] = used
+    pairs.listed[i] = wp.min(used, pairs.room[i])
 
 
 @wp.kernel(enable_backward=False)
-def bond_close_pairs(
-    position: wp.array[wp.vec3],
-    bond_reach: float,
-    count: wp.array[int],
-    index: wp.array2d[int],
-    rest_length: wp.array2d[float],
-) -> None:
+def bond_close_pairs(position: wp.array[wp.vec3], bond_reach: float, pairs: PairRows) -> None:
     """Bond every listed pair closer than the reach at its present length: no stress."""
     i = wp.tid()
-    for slot in range(count[i]):
-        distance = wp.length(position[index[i, slot]] - position[i])
+    first = pairs.first[i]
+    end = first
+    for slot in range(first, first + pairs.listed[i]):
+        distance = wp.length(position[pairs.other[slot]] - position[i])
         if distance < bond_reach and distance > 0.0:
-            rest_length[i, slot] = distance
+            pairs.rest_length[slot] = distance
+            swap_slots(pairs, slot, end)
+            end += 1
+    pairs.acting[i] = end - first
 
 
 @wp.kernel(enable_backward=False)
 def measure_displacement(
+    awake: Awake,
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
     largest: wp.array[float],
 ) -> None:
-    """Find how far any particle has moved since the rows were filled."""
-    i = wp.tid()
-    wp.atomic_max(largest, 0, wp.length(position[i] - listed_position[i]))
+    """Find how far any particle has moved since the rows were filled, squared."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    moved = wp.length_sq(position[i] - listed_position[i])
+    if moved > largest[0]:
+        wp.atomic_max(largest, 0, moved)
 
 
 class Neighbors:
-    """The rows of all particles, refilled when something has moved too far.
+    """Fills rows, and tells when they must be filled again.
 
     Args:
-        particle_count: Number of particles.
+        particles: Whose neighbours.
+        pairs: Whose rows to fill.
         reach: Distance within which pairs interact [m].
         skin: Extra distance listed [m]; rows stay valid until a particle moved half of it.
-        device: Warp device.
     """
 
-    def __init__(self, particle_count: int, reach: float, skin: float, device: wp.Device) -> None:
+    def __init__(self, particles: Particles, pairs: Pairs, reach: float, skin: float) -> None:
+        self.particles = particles
+        self.pairs = pairs
         self.reach = reach + skin
         self.skin = skin
-        self.device = device
-        self.particle_count = particle_count
-        rows = (particle_count, SLOTS)
-        self.count = wp.zeros(particle_count, dtype=int, device=device)
-        self.index = wp.zeros(rows, dtype=int, device=device)
-        self.rest_length = wp.zeros(rows, dtype=float, device=device)
-        self._old_count = wp.zeros_like(self.count)
-        self._old_index = wp.zeros_like(self.index)
-        self._old_rest_length = wp.zeros_like(self.rest_length)
-        self.listed_position = wp.zeros(particle_count, dtype=wp.vec3, device=device)
-        self._largest = wp.zeros(1, dtype=float, device=device)
-        self._overflow = wp.zeros(1, dtype=int, device=device)
-        self._grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
+        count, device = particles.count, particles.device
+        self.listed_position = wp.zeros(count, dtype=wp.vec3, device=device)
+        self.needed = wp.zeros(count, dtype=int, device=device)
+        """Slots that each row would fill."""
+        self.largest = wp.zeros(1, dtype=float, device=device)
+        """Largest displacement since the rows were filled, squared [m²]."""
+        self.overflow = 0
+        """Neighbours that found no free slot, since the beginning."""
         self.rebuild_count = 0
+        self._hash_grid: wp.HashGrid | None = None
+        if device.is_cpu:
+            self._cells = neighbors_cpu.make_cell_grid(count, self.reach, device)
+        else:
+            self._hash_grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
 
-    def rebuild(self, position: wp.array) -> None:
-        """Refill all rows around the given positions, keeping every bond."""
-        wp.copy(self._old_count, self.count)
-        wp.copy(self._old_index, self.index)
-        wp.copy(self._old_rest_length, self.rest_length)
-        self._grid.build(position, self.reach)
-        wp.launch(
-            fill_rows,
-            dim=self.particle_count,
-            inputs=[
-                self._grid.id,
-                position,
-                self.reach,
-                self._old_count,
-                self._old_index,
-                self._old_rest_length,
-                self.count,
-                self.index,
-                self.rest_length,
-                self._overflow,
-            ],
-            device=self.device,
-        )
+    def rebuild(self) -> None:
+        """Refill the rows of all particles that are awake, keeping every bond."""
+        position = self.particles.position
+        if self._hash_grid:
+            self._hash_grid.build(position, self.reach)
+        else:
+            neighbors_cpu.sort_into_cells(self._cells, position, self.reach)
+        self._fill()
+        needed = self.needed.numpy()
+        short = needed > self.pairs.rows.room.numpy()
+        if short.any():
+            self.overflow += int(np.maximum(needed[short] - MOST_SLOTS, 0).sum())
+            if (needed[short] < MOST_SLOTS).any() or self.rebuild_count == 0:
+                self.pairs.lay_out(needed)
+                self._fill()
         wp.copy(self.listed_position, position)
+        self.largest.zero_()
         self.rebuild_count += 1
 
-    def bond_all(self, position: wp.array, bond_reach: float) -> None:
+    def _fill(self) -> None:
+        grid: Any = self._hash_grid.id if self._hash_grid else self._cells
+        self.particles.launch(
+            fill_rows if self._hash_grid else neighbors_cpu.fill_rows,
+            grid,
+            self.particles.position,
+            self.reach,
+            self.pairs.rows,
+            self.needed,
+        )
+
+    def bond_all(self, bond_reach: float) -> None:
         """Bond all pairs closer than ``bond_reach`` [m] as they lie."""
         wp.launch(
             bond_close_pairs,
-            dim=self.particle_count,
-            inputs=[position, bond_reach, self.count, self.index, self.rest_length],
-            device=self.device,
+            dim=self.particles.count,
+            inputs=[self.particles.position, bond_reach, self.pairs.rows],
+            device=self.particles.device,
         )
 
-    def rebuild_if_moved(self, position: wp.array) -> None:
+    def measure(self) -> None:
+        """Find how far particles have moved; may be recorded."""
+        inputs = [self.particles.position, self.listed_position, self.largest]
+        if self._hash_grid:
+            self.particles.launch(measure_displacement, *inputs)
+        else:
+            self.particles.launch_blocks(neighbors_cpu.measure_displacement, *inputs)
+
+    def rebuild_if_moved(self) -> None:
         """Refill the rows where a particle has used up its half of the skin."""
-        self._largest.zero_()
-        wp.launch(
-            measure_displacement,
-            dim=self.particle_count,
-            inputs=[position, self.listed_position, self._largest],
-            device=self.device,
-        )
-        if self._largest.numpy()[0] > 0.5 * self.skin:
-            self.rebuild(position)
-
-    @property
-    def overflow(self) -> int:
-        """Neighbours that found no free slot, since the beginning."""
-        return int(self._overflow.numpy()[0])
+        if self.largest.numpy()[0] > (0.5 * self.skin) ** 2:
+            self.rebuild()
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """State that decides what the next passes do; rows cut to the widest one."""
-        count = self.count.numpy()
-        width = int(count.max(initial=0))
+        """State that decides what the next passes do; rows one behind the other."""
+        rows = self.pairs.rows
+        listed = rows.listed.numpy()
+        slots = _slots(rows.first.numpy(), listed)
         return {
-            "neighbor_count": count.copy(),
-            "neighbor_index": self.index.numpy()[:, :width].copy(),
-            "neighbor_rest_length": self.rest_length.numpy()[:, :width].copy(),
-            "neighbor_listed_position": self.listed_position.numpy().copy(),
-            "neighbor_overflow": self._overflow.numpy().copy(),
+            "neighbor_room": rows.room.numpy().copy(),
+            "neighbor_listed": listed.copy(),
+            "neighbor_acting": rows.acting.numpy().copy(),
+            "neighbor_other": rows.other.numpy()[slots],
+            "neighbor_rest_length": rows.rest_length.numpy()[slots],
+            "neighbor_position": self.listed_position.numpy().copy(),
+            "neighbor_largest": self.largest.numpy().copy(),
+            "neighbor_counts": np.array([self.overflow, self.rebuild_count]),
         }
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Take up the state that `snapshot` gave."""
-        width = snapshot["neighbor_index"].shape[1]
-        rows = np.zeros((self.particle_count, SLOTS), np.int32)
-        rows[:, :width] = snapshot["neighbor_index"]
-        self.index.assign(rows)
-        lengths = np.zeros((self.particle_count, SLOTS), np.float32)
-        lengths[:, :width] = snapshot["neighbor_rest_length"]
-        self.rest_length.assign(lengths)
-        self.count.assign(snapshot["neighbor_count"])
-        self.listed_position.assign(snapshot["neighbor_listed_position"])
-        self._overflow.assign(snapshot["neighbor_overflow"])
+        rows = self.pairs.rows
+        rows.listed.zero_()
+        self.pairs.lay_out(snapshot["neighbor_room"] - 4)
+        slots = _slots(rows.first.numpy(), snapshot["neighbor_listed"])
+        for name in ("other", "rest_length"):
+            array = getattr(rows, name)
+            filled = array.numpy().copy()
+            filled[slots] = snapshot[f"neighbor_{name}"]
+            array.assign(filled)
+        rows.listed.assign(snapshot["neighbor_listed"])
+        rows.acting.assign(snapshot["neighbor_acting"])
+        self.listed_position.assign(snapshot["neighbor_position"])
+        self.largest.assign(snapshot["neighbor_largest"])
+        self.overflow, self.rebuild_count = (int(n) for n in snapshot["neighbor_counts"])
+
+
+def _slots(first: np.ndarray, listed: np.ndarray) -> np.ndarray:
+    """Where the listed neighbours of all rows stand, row by row."""
+    begin = np.cumsum(listed) - listed
+    return np.repeat(first - begin, listed) + np.arange(int(listed.sum()))

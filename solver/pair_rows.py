@@ -1,41 +1,50 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pairs that act in a substep, and the forces between them.
 
-Every pair is kept at both ends, so that each particle gathers its own sum. Both ends compute the
-same numbers from the same values, so forces are equal and opposite and rest lengths stay equal,
-but for rounding. A pair's direction is that at the start of the substep, its length that at the
-end: so pair forces conserve angular momentum exactly.
+Each particle keeps a row of neighbours, one row behind the other in arrays as long as needed. The
+first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbour's
+index and the pair's rest length: 0 for a free pair, negative while a new bond is being counted in,
+positive for a bond. Every pair is kept at both ends, so that each particle gathers its own sum: no
+pass needs atomics. Both ends compute the same numbers from the same values, so forces are equal and
+opposite and rest lengths stay equal, but for rounding. A pair's direction is that at the start of
+the substep, its length that at the end: so pair forces conserve angular momentum exactly.
 """
 
 import warp as wp
 
+from .awake import Awake, awake_particle
 from .bond_law import Body, Clay, PairLaw, flow_bond, kernel_slope, kernel_value
 
-MOST_PAIRS = 48
-"""Pairs of one particle that can act at once."""
+MOST_SLOTS = 96
+"""Neighbours a particle can list: clay at three times its density within two spacings."""
 
 
 @wp.struct
 class PairRows:
-    """The acting pairs of all particles, a row of `MOST_PAIRS` for each."""
+    """The rows of all particles."""
 
-    count: wp.array[int]
-    other: wp.array2d[int]
-    slot: wp.array2d[int]
-    """Where the pair's rest length is kept among the neighbours."""
-    length: wp.array2d[float]
-    """Rest length at the start of the substep [m], 0 for a free pair."""
-    direction_x: wp.array2d[float]
-    direction_y: wp.array2d[float]
-    direction_z: wp.array2d[float]
+    first: wp.array[int]
+    """Where a particle's row begins: a multiple of eight."""
+    room: wp.array[int]
+    """Slots that belong to a row: a multiple of eight."""
+    listed: wp.array[int]
+    """Slots in use."""
+    acting: wp.array[int]
+    """Slots that act, from the first."""
+    other: wp.array[int]
+    rest_length: wp.array[float]
+    """[m]; 0 for a free pair, negative while a bond is counted in."""
+    direction_x: wp.array[float]
+    direction_y: wp.array[float]
+    direction_z: wp.array[float]
     """Towards the other, at the start of the substep; kept by axis for vector units."""
-    distance: wp.array2d[float]
+    distance: wp.array[float]
     """At the start of the substep [m]."""
-    distance_next: wp.array2d[float]
+    distance_next: wp.array[float]
     """At its end [m]."""
-    stiffness: wp.array2d[float]
+    stiffness: wp.array[float]
     """Tangent of the bond [kg]: force derivative times Δt²."""
-    slope: wp.array2d[float]
+    slope: wp.array[float]
     """How fast the pair's share of the density falls with distance [1/m]."""
     mean_stretch: wp.array[float]
     """Mean stretch of a particle's bonds [m]."""
@@ -44,79 +53,102 @@ class PairRows:
 
 
 @wp.func
-def pair_direction(pairs: PairRows, i: int, e: int) -> wp.vec3:
+def pair_direction(pairs: PairRows, slot: int) -> wp.vec3:
     """Unit vector from a particle to the other end of a pair."""
-    return wp.vec3(pairs.direction_x[i, e], pairs.direction_y[i, e], pairs.direction_z[i, e])
+    return wp.vec3(pairs.direction_x[slot], pairs.direction_y[slot], pairs.direction_z[slot])
 
 
-@wp.kernel(enable_backward=False)
-def gather_pairs(
-    clay: Clay,
-    position: wp.array[wp.vec3],
-    neighbor_count: wp.array[int],
-    neighbor_index: wp.array2d[int],
-    rest_length: wp.array2d[float],
-    pairs: PairRows,
-    overflow: wp.array[int],
-) -> None:
-    """Collect bonded pairs and free ones close enough to press, and count new bonds in."""
-    i = wp.tid()
+@wp.func
+def swap_slots(pairs: PairRows, a: int, b: int) -> None:
+    """Exchange two neighbours of a row."""
+    other = pairs.other[a]
+    rest = pairs.rest_length[a]
+    pairs.other[a] = pairs.other[b]
+    pairs.rest_length[a] = pairs.rest_length[b]
+    pairs.other[b] = other
+    pairs.rest_length[b] = rest
+
+
+@wp.func
+def keep_bonds(pairs: PairRows, i: int) -> int:
+    """Pack a row's bonds to its front, and say how many they are."""
+    first = pairs.first[i]
+    used = first
+    for slot in range(first, first + pairs.acting[i]):
+        rest = pairs.rest_length[slot]
+        if rest > 0.0:
+            pairs.other[used] = pairs.other[slot]
+            pairs.rest_length[used] = rest
+            used += 1
+    pairs.acting[i] = used - first
+    return used - first
+
+
+@wp.func
+def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+    """Let go of pairs that no longer act, take up those that come close, count new bonds in."""
     x = position[i]
-    used = int(0)
-    floor = 1.0e-6 * clay.spacing
-    for s in range(neighbor_count[i]):
-        j = neighbor_index[i, s]
-        offset = position[j] - x
-        apart = wp.length(offset)
-        rest = rest_length[i, s]
+    first = pairs.first[i]
+    end = first + pairs.acting[i]
+    slot = first
+    while slot < end:
+        rest = pairs.rest_length[slot]
         if rest <= 0.0:
-            if apart < clay.form_reach:
-                if clay.bonds == 1:
-                    rest -= 1.0
-                    if rest < -clay.dwell:
-                        rest = wp.max(apart, clay.shortest_length)
-                else:
-                    rest = -1.0
-            else:
-                rest = 0.0
-            rest_length[i, s] = rest
-        if rest != 0.0:
-            if used < MOST_PAIRS:
-                direction = offset / wp.max(apart, floor)
-                if apart <= floor:
-                    # Coincident particles part along a direction that both ends agree on.
-                    seed = wp.rand_init(wp.min(i, j), wp.max(i, j))
-                    direction = wp.sample_unit_sphere_surface(seed)
-                    if i > j:
-                        direction = -direction
-                pairs.other[i, used] = j
-                pairs.slot[i, used] = s
-                pairs.length[i, used] = wp.max(rest, 0.0)
-                pairs.direction_x[i, used] = direction[0]
-                pairs.direction_y[i, used] = direction[1]
-                pairs.direction_z[i, used] = direction[2]
-                pairs.distance[i, used] = wp.max(apart, floor)
-                used += 1
-            else:
-                wp.atomic_add(overflow, 0, 1)
-    pairs.count[i] = used
+            apart = wp.length(position[pairs.other[slot]] - x)
+            rest = wp.where(apart < clay.form_reach, rest - 1.0, 0.0)
+            if clay.bonds == 0:
+                rest = wp.max(rest, -1.0)
+            elif rest < -clay.dwell:
+                rest = wp.max(apart, clay.shortest_length)
+            pairs.rest_length[slot] = rest
+        if rest == 0.0:
+            end -= 1
+            swap_slots(pairs, slot, end)
+        else:
+            slot += 1
+    for candidate in range(end, first + pairs.listed[i]):
+        if wp.length(position[pairs.other[candidate]] - x) < clay.form_reach:
+            pairs.rest_length[candidate] = -1.0
+            swap_slots(pairs, candidate, end)
+            end += 1
+    pairs.acting[i] = end - first
 
 
-@wp.kernel(enable_backward=False)
-def measure_pairs(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
-    """Find each pair's length at the end of the substep, and each particle's state of volume."""
-    i = wp.tid()
+@wp.func
+def lay_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+    """Find directions and distances of a particle's pairs."""
+    floor = 1.0e-6 * clay.spacing
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        offset = position[j] - position[i]
+        apart = wp.length(offset)
+        direction = offset / wp.max(apart, floor)
+        if apart <= floor:
+            # Coincident particles part along a direction that both ends agree on.
+            seed = wp.rand_init(wp.min(i, j), wp.max(i, j))
+            direction = wp.sample_unit_sphere_surface(seed)
+            if i > j:
+                direction = -direction
+        pairs.direction_x[slot] = direction[0]
+        pairs.direction_y[slot] = direction[1]
+        pairs.direction_z[slot] = direction[2]
+        pairs.distance[slot] = wp.max(apart, floor)
+
+
+@wp.func
+def measure_row(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+    """Find the lengths of a particle's pairs at the end of the substep, and its volume."""
     v = velocity[i]
     density = clay.inverse_rest_sum
     stretch = float(0.0)
     bonds = float(0.0)
-    for e in range(pairs.count[i]):
-        closing = velocity[pairs.other[i, e]] - v
-        way = pair_direction(pairs, i, e) * pairs.distance[i, e] + closing * clay.time_step
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        closing = velocity[pairs.other[slot]] - v
+        way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
         apart = wp.length(way)
-        pairs.distance_next[i, e] = apart
+        pairs.distance_next[slot] = apart
         density += kernel_value(clay, apart)
-        rest = pairs.length[i, e]
+        rest = pairs.rest_length[slot]
         if rest > 0.0:
             stretch += apart - rest
             bonds += 1.0
@@ -125,7 +157,32 @@ def measure_pairs(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> N
 
 
 @wp.kernel(enable_backward=False)
+def lay_pairs(
+    awake: Awake,
+    clay: Clay,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> None:
+    """Find the pairs that act, their directions and distances, and measure."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        sort_row(clay, position, pairs, i)
+        lay_row(clay, position, pairs, i)
+        measure_row(clay, velocity, pairs, i)
+
+
+@wp.kernel(enable_backward=False)
+def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
+    """Find each pair's length at the end of the substep, and each particle's state of volume."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        measure_row(clay, velocity, pairs, i)
+
+
+@wp.kernel(enable_backward=False)
 def sum_forces(
+    awake: Awake,
     clay: Clay,
     pair_laws: wp.array[PairLaw],
     bodies: wp.array[Body],
@@ -137,7 +194,9 @@ def sum_forces(
     diagonal: wp.array[wp.mat33],
 ) -> None:
     """Impulse still missing at each particle [N s], and the tangent of the forces [kg]."""
-    i = wp.tid()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     dt = clay.time_step
     own = material[i]
     body = bodies[own]
@@ -147,16 +206,16 @@ def sum_forces(
     force = wp.vec3()
     slope_sum = wp.vec3()
     block = wp.identity(n=3, dtype=float) * body.mass
-    for e in range(pairs.count[i]):
-        j = pairs.other[i, e]
-        apart = pairs.distance_next[i, e]
-        n = pair_direction(pairs, i, e)
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        apart = pairs.distance_next[slot]
+        n = pair_direction(pairs, slot)
         a = kernel_slope(clay, apart)
         other_compression = pairs.compression[j]
         other_stiffness = bodies[material[j]].pressure_stiffness
         pull = -(pressure + other_stiffness * other_compression) * a
         k = float(0.0)
-        rest = pairs.length[i, e]
+        rest = pairs.rest_length[slot]
         if rest > 0.0:
             law = pair_laws[own * clay.material_count + material[j]]
             pressed = compression + other_compression > 0.0
@@ -164,8 +223,8 @@ def sum_forces(
             pull += law.stiffness * (apart - bond.rest_length)
             k = law.stiffness * bond.softening * dt * dt
         force += n * pull
-        pairs.stiffness[i, e] = k
-        pairs.slope[i, e] = a
+        pairs.stiffness[slot] = k
+        pairs.slope[slot] = a
         slope_sum += n * a
         w = k
         if other_compression > 0.0:
@@ -179,30 +238,39 @@ def sum_forces(
 
 @wp.kernel(enable_backward=False)
 def flow_pairs(
+    awake: Awake,
     clay: Clay,
     pair_laws: wp.array[PairLaw],
     material: wp.array[int],
+    velocity: wp.array[wp.vec3],
     pairs: PairRows,
-    rest_length: wp.array2d[float],
 ) -> None:
-    """Keep what flowed: write the bonds' new rest lengths, and drop those that broke."""
-    i = wp.tid()
-    for e in range(pairs.count[i]):
-        rest = pairs.length[i, e]
+    """Keep what flowed: write the bonds' new rest lengths, and drop those that broke.
+
+    Lengths are those at the final velocities; for the volume the last linearisation's will do.
+    """
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        rest = pairs.rest_length[slot]
         if rest > 0.0:
-            j = pairs.other[i, e]
+            j = pairs.other[slot]
             law = pair_laws[material[i] * clay.material_count + material[j]]
             pressed = pairs.compression[i] + pairs.compression[j] > 0.0
             stretch = pairs.mean_stretch[i] + pairs.mean_stretch[j]
-            apart = pairs.distance_next[i, e]
+            closing = velocity[j] - velocity[i]
+            way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
+            apart = wp.length(way)
             rest = flow_bond(clay, law, rest, apart, stretch, pressed).rest_length
             if wp.max(apart, rest) > clay.break_length:
                 rest = 0.0
-            rest_length[i, pairs.slot[i, e]] = rest
+            pairs.rest_length[slot] = rest
 
 
 @wp.kernel(enable_backward=False)
 def press_pairs(
+    awake: Awake,
     bodies: wp.array[Body],
     material: wp.array[int],
     time_step: float,
@@ -211,34 +279,41 @@ def press_pairs(
     pressure_change: wp.array[float],
 ) -> None:
     """How a motion changes the pressure of compressed particles [kg m]."""
-    i = wp.tid()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     total = float(0.0)
     if pairs.compression[i] > 0.0:
         p = direction[i]
-        for e in range(pairs.count[i]):
-            closing = wp.dot(pair_direction(pairs, i, e), p - direction[pairs.other[i, e]])
-            total += pairs.slope[i, e] * closing
+        for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+            closing = wp.dot(pair_direction(pairs, slot), p - direction[pairs.other[slot]])
+            total += pairs.slope[slot] * closing
     scale = bodies[material[i]].pressure_stiffness * time_step * time_step
     pressure_change[i] = total * scale
 
 
 @wp.kernel(enable_backward=False)
 def multiply_pairs(
+    awake: Awake,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     pressure_change: wp.array[float],
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
+    curvature: wp.array[wp.float64],
 ) -> None:
     """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
-    i = wp.tid()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     p = direction[i]
     total = own_block[i] * p
     own = pressure_change[i]
-    for e in range(pairs.count[i]):
-        j = pairs.other[i, e]
-        n = pair_direction(pairs, i, e)
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        n = pair_direction(pairs, slot)
         closing = wp.dot(n, p - direction[j])
-        pull = pairs.stiffness[i, e] * closing + pairs.slope[i, e] * (own + pressure_change[j])
+        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + pressure_change[j])
         total += n * pull
     product[i] = total
+    wp.atomic_add(curvature, 0, wp.float64(wp.dot(total, p)))

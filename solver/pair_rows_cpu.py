@@ -1,132 +1,434 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The products of conjugate gradients for the CPU's vector units.
+"""The passes over pairs for the CPU's vector units: eight pairs of a row at a time.
 
-They take more than half of a frame. The kernels of `pair_rows` with the same names are the same
-products for reading and for graphics cards; a test holds the two to the same result.
+They take most of a frame. The kernels of `pair_rows` with the same names are the same passes for
+reading and for graphics cards; tests hold the two to the same results. Lanes behind the last
+pair of a row have a direction of zero, so that they add nothing.
 """
 
 import warp as wp
 
-from .bond_law import Body, Clay
-from .pair_rows import MOST_PAIRS, PairRows
+from .awake import Awake
+from .bond_law import Body, Clay, PairLaw
+from .pair_rows import PairRows, lay_row, measure_row, sort_row
+from .vector_units import BLOCK, OPTIONS, over_block
 
-# The compiler may use all that this processor has; sums may be reordered (see the pragmas).
-wp.set_module_options({"cpu_compiler_flags": "-O3 -march=native"})
+wp.set_module_options(OPTIONS)
 
-_WIDTH = wp.constant(MOST_PAIRS)
-
-_ROW = """{
-    #pragma clang fp reassociate(on) contract(fast)
-    const int n = pairs.count.data[i];
-    const int row = i * width;
+_ROW = """
+    const int acting = pairs.acting.data[i];
+    const int end = (acting + 7) & ~7;
+    const long long row = pairs.first.data[i];
     const int* __restrict__ other = pairs.other.data + row;
-    const float* __restrict__ nx = pairs.direction_x.data + row;
-    const float* __restrict__ ny = pairs.direction_y.data + row;
-    const float* __restrict__ nz = pairs.direction_z.data + row;
-    const float* __restrict__ slope = pairs.slope.data + row;
-    const float* __restrict__ p = (const float*)direction.data;
+    float* __restrict__ rests = pairs.rest_length.data + row;
+    float* __restrict__ nx = pairs.direction_x.data + row;
+    float* __restrict__ ny = pairs.direction_y.data + row;
+    float* __restrict__ nz = pairs.direction_z.data + row;
+    float* __restrict__ distance = pairs.distance.data + row;
+    float* __restrict__ next = pairs.distance_next.data + row;
+    float* __restrict__ stiffness = pairs.stiffness.data + row;
+    float* __restrict__ slope = pairs.slope.data + row;
+"""
+
+# How a particle's volume is summed up while its pairs are measured.
+_MEASURE_SETUP = """
+    const float* __restrict__ v = (const float*)velocity.data;
+    const float dt = clay.time_step, inverse_radius = 1.f / clay.kernel_radius;
+"""
+_MEASURE = """
+    const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
+    f8 density = zero, stretch = zero, bonds = zero;
+    auto measure = [&](int e, i8 live, f8 x, f8 y, f8 z) __attribute__((always_inline)) {
+        f8 wx, wy, wz;
+        pick3(v, other + e, wx, wy, wz);
+        x += (wx - vx) * dt;
+        y += (wy - vy) * dt;
+        z += (wz - vz) * dt;
+        const f8 apart = root(x * x + y * y + z * z);
+        const f8 rest = load(rests + e);
+        const i8 bonded = live & (rest > 0.f);
+        f8 t = most(1.f - apart * inverse_radius, zero);
+        t = live ? t : zero;
+        density += t * t * t;
+        stretch += bonded ? apart - rest : zero;
+        bonds += bonded ? (f8)(1.f) : zero;
+        store(next + e, apart);
+    };
+    auto keep_measures = [&]() __attribute__((always_inline)) {
+        const float bond_count = sum(bonds);
+        const float dense = (1.f + sum(density)) * clay.inverse_rest_sum - 1.f;
+        pairs.mean_stretch.data[i] = sum(stretch) / (bond_count > 1.f ? bond_count : 1.f);
+        pairs.compression.data[i] = dense > 0.f ? dense : 0.f;
+    };
+"""
+
+# `bond_law.flow_bond`, eight bonds at a time.
+_LAW_SETUP = """
+    const bool uniform = clay.material_count == 1;
+    const float volume_scale = 0.5f / clay.spacing;
+    f8 law_stiffness = (f8)(pair_laws.data[0].stiffness);
+    f8 law_yield = (f8)(pair_laws.data[0].yield_stretch);
+    f8 law_tension = (f8)(pair_laws.data[0].tension_stretch);
+    f8 law_fraction = (f8)(pair_laws.data[0].flow_fraction);
+    auto take_laws = [&](int i, const int* other) __attribute__((always_inline)) {
+        const auto* laws = pair_laws.data + (long long)material.data[i] * clay.material_count;
+        for (int l = 0; l < 8; l++) {
+            const auto& law = laws[material.data[other[l]]];
+            law_stiffness[l] = law.stiffness;
+            law_yield[l] = law.yield_stretch;
+            law_tension[l] = law.tension_stretch;
+            law_fraction[l] = law.flow_fraction;
+        }
+    };
+    auto flow_bond = [&](f8 rest, f8 apart, f8 stretch_sum, i8 pressed, f8& softening)
+        __attribute__((always_inline)) {
+        const f8 stretch = apart - rest;
+        const f8 volume_stretch = stretch_sum * rest * volume_scale;
+        const f8 shear_stretch = stretch - volume_stretch;
+        const f8 excess = size(shear_stretch) - law_yield;
+        const i8 yields = excess > 0.f;
+        f8 flow = __builtin_elementwise_copysign(excess, shear_stretch) * law_fraction;
+        const i8 forgets = (volume_stretch < 0.f) | pressed;
+        flow += forgets ? volume_stretch * clay.forget_fraction : zero;
+        flow = yields ? flow : zero;
+        const f8 over = stretch - flow - law_tension;
+        const i8 draws = over > 0.f;
+        flow += draws ? over * law_fraction : zero;
+        const i8 sheared = size(shear_stretch) > size(stretch);
+        const f8 whole = sheared ? shear_stretch : stretch;
+        const f8 secant = size(whole - flow) / most(size(whole), (f8)(1e-12f));
+        softening = least(most(secant, 1.f - law_fraction), (f8)(1.f));
+        softening = (yields | draws) ? softening : (f8)(1.f);
+        return most(rest + flow, (f8)(clay.shortest_length));
+    };
+"""
+
+
+@wp.func_native(
+    over_block(
+        _MEASURE_SETUP
+        + """
+    const float* __restrict__ x = (const float*)position.data;
+    const float floor = 1e-6f * clay.spacing, reach = clay.form_reach * clay.form_reach;
+    int left_count = 0;
+""",
+        _ROW
+        + _MEASURE
+        + """
+    const float px = x[3 * i], py = x[3 * i + 1], pz = x[3 * i + 2];
+    const int listed = pairs.listed.data[i];
+    i8 found = (i8)(0);
+    for (int e = acting & ~7; e < listed; e += 8) {
+        f8 qx, qy, qz;
+        pick3(x, other + e, qx, qy, qz);
+        qx -= px;
+        qy -= py;
+        qz -= pz;
+        const i8 near = qx * qx + qy * qy + qz * qz < reach;
+        found |= (lanes + e >= acting) & (lanes + e < listed) & near;
+    }
+    for (int e = 0; e < end; e += 8) {
+        f8 qx, qy, qz;
+        pick3(x, other + e, qx, qy, qz);
+        qx -= px;
+        qy -= py;
+        qz -= pz;
+        const i8 live = lanes + e < acting;
+        const f8 apart = root(qx * qx + qy * qy + qz * qz);
+        found |= live & ((apart <= floor) | (load(rests + e) <= 0.f));
+        const f8 inverse = live ? 1.f / most(apart, (f8)(floor)) : zero;
+        store(nx + e, qx * inverse);
+        store(ny + e, qy * inverse);
+        store(nz + e, qz * inverse);
+        store(distance + e, apart);
+        measure(e, live, qx, qy, qz);
+    }
+    keep_measures();
+    const int leave = __builtin_reduce_or(found) != 0;
+    left.data[i] = leave;
+    left_count += leave;
+""",
+        "return left_count;",
+    )
+)
+def lay_block(  # type: ignore[empty-body]
+    block: int,
+    awake: Awake,
+    clay: Clay,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+    left: wp.array[int],
+) -> int: ...
+
+
+@wp.kernel(enable_backward=False)
+def lay_pairs(
+    awake: Awake,
+    clay: Clay,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+    left: wp.array[int],
+) -> None:
+    """`pair_rows.lay_pairs`, which itself takes rows that change and coincident particles."""
+    block = wp.tid()
+    if lay_block(block, awake, clay, position, velocity, pairs, left) > 0:
+        for thread in range(block * BLOCK, wp.min((block + 1) * BLOCK, awake.count[0])):
+            i = awake.index[thread]
+            if left[i] > 0:
+                sort_row(clay, position, pairs, i)
+                lay_row(clay, position, pairs, i)
+                measure_row(clay, velocity, pairs, i)
+
+
+@wp.func_native(
+    over_block(
+        _MEASURE_SETUP,
+        _ROW
+        + _MEASURE
+        + """
+    for (int e = 0; e < end; e += 8) {
+        const f8 apart = load(distance + e);
+        const i8 live = lanes + e < acting;
+        measure(e, live, load(nx + e) * apart, load(ny + e) * apart, load(nz + e) * apart);
+    }
+    keep_measures();
+""",
+    )
+)
+def measure_block(
+    block: int, awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
+    """`pair_rows.measure_pairs`."""
+    measure_block(wp.tid(), awake, clay, velocity, pairs)
+
+
+@wp.func_native(
+    over_block(
+        _LAW_SETUP
+        + """
+    const float* __restrict__ stretches = pairs.mean_stretch.data;
+    const float* __restrict__ compressions = pairs.compression.data;
+    const float dt = clay.time_step, square = dt * dt;
+    const float inverse_radius = 1.f / clay.kernel_radius;
+    const float slope_scale = 3.f * clay.inverse_rest_sum * inverse_radius;
+""",
+        _ROW
+        + """
+    const auto& body = bodies.data[material.data[i]];
+    const float own_stretch = stretches[i], own_compression = compressions[i];
+    const float own_pressure = body.pressure_stiffness * own_compression;
+    f8 other_stiffness = (f8)(body.pressure_stiffness);
+    f8 fx = zero, fy = zero, fz = zero, sx = zero, sy = zero, sz = zero;
+    f8 xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
+    for (int e = 0; e < end; e += 8) {
+        if (!uniform) {
+            take_laws(i, other + e);
+            for (int l = 0; l < 8; l++)
+                other_stiffness[l] = bodies.data[material.data[other[e + l]]].pressure_stiffness;
+        }
+        const i8 live = lanes + e < acting;
+        const f8 apart = load(next + e), rest = load(rests + e);
+        const f8 x = load(nx + e), y = load(ny + e), z = load(nz + e);
+        const f8 t = most(1.f - apart * inverse_radius, zero);
+        const f8 a = live ? t * t * slope_scale : zero;
+        const f8 compression = pick(compressions, other + e);
+        const f8 stretch_sum = own_stretch + pick(stretches, other + e);
+        const i8 bonded = live & (rest > 0.f);
+        f8 softening;
+        const i8 pressed = own_compression + compression > 0.f;
+        const f8 flowed = flow_bond(rest, apart, stretch_sum, pressed, softening);
+        f8 pull = -(own_pressure + other_stiffness * compression) * a;
+        pull += bonded ? law_stiffness * (apart - flowed) : zero;
+        const f8 k = bonded ? law_stiffness * softening * square : zero;
+        store(stiffness + e, k);
+        store(slope + e, a);
+        const f8 w = k + (compression > 0.f ? other_stiffness * square * a * a : zero);
+        fx += x * pull;
+        fy += y * pull;
+        fz += z * pull;
+        sx += x * a;
+        sy += y * a;
+        sz += z * a;
+        xx += x * x * w;
+        xy += x * y * w;
+        xz += x * z * w;
+        yy += y * y * w;
+        yz += y * z * w;
+        zz += z * z * w;
+    }
+    const float px = sum(sx), py = sum(sy), pz = sum(sz);
+    const float s = own_compression > 0.f ? body.pressure_stiffness * square : 0.f;
+    const float bxy = sum(xy) + s * px * py, bxz = sum(xz) + s * px * pz;
+    const float byz = sum(yz) + s * py * pz;
+    float* entry = (float*)diagonal.data + 9 * (long long)i;
+    entry[0] = body.mass + sum(xx) + s * px * px;
+    entry[1] = entry[3] = bxy;
+    entry[2] = entry[6] = bxz;
+    entry[4] = body.mass + sum(yy) + s * py * py;
+    entry[5] = entry[7] = byz;
+    entry[8] = body.mass + sum(zz) + s * pz * pz;
+    const float* free = (const float*)velocity_free.data + 3 * (long long)i;
+    const float* now = (const float*)velocity.data + 3 * (long long)i;
+    float* missing = (float*)residual.data + 3 * (long long)i;
+    missing[0] = (free[0] - now[0]) * body.mass + sum(fx) * dt;
+    missing[1] = (free[1] - now[1]) * body.mass + sum(fy) * dt;
+    missing[2] = (free[2] - now[2]) * body.mass + sum(fz) * dt;
+""",
+    )
+)
+def sum_forces_block(
+    block: int,
+    awake: Awake,
+    clay: Clay,
+    pair_laws: wp.array[PairLaw],
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity_free: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def sum_forces(
+    awake: Awake,
+    clay: Clay,
+    pair_laws: wp.array[PairLaw],
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity_free: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+) -> None:
+    """`pair_rows.sum_forces`."""
+    sum_forces_block(
+        wp.tid(),
+        awake,
+        clay,
+        pair_laws,
+        bodies,
+        material,
+        velocity_free,
+        velocity,
+        pairs,
+        residual,
+        diagonal,
+    )
+
+
+@wp.func_native(
+    over_block(
+        _LAW_SETUP
+        + """
+    const float* __restrict__ stretches = pairs.mean_stretch.data;
+    const float* __restrict__ compressions = pairs.compression.data;
+    const float* __restrict__ v = (const float*)velocity.data;
+    const float dt = clay.time_step;
+""",
+        _ROW
+        + """
+    const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
+    for (int e = 0; e < end; e += 8) {
+        if (!uniform) take_laws(i, other + e);
+        const f8 rest = load(rests + e), before = load(distance + e);
+        const f8 compression = pick(compressions, other + e);
+        const f8 stretch_sum = stretches[i] + pick(stretches, other + e);
+        f8 x, y, z, softening;
+        pick3(v, other + e, x, y, z);
+        x = load(nx + e) * before + (x - vx) * dt;
+        y = load(ny + e) * before + (y - vy) * dt;
+        z = load(nz + e) * before + (z - vz) * dt;
+        const f8 apart = root(x * x + y * y + z * z);
+        const i8 pressed = compressions[i] + compression > 0.f;
+        f8 flowed = flow_bond(rest, apart, stretch_sum, pressed, softening);
+        flowed = most(apart, flowed) > clay.break_length ? zero : flowed;
+        const i8 bonded = (lanes + e < acting) & (rest > 0.f);
+        store(rests + e, bonded ? flowed : rest);
+    }
+""",
+    )
+)
+def flow_block(
+    block: int,
+    awake: Awake,
+    clay: Clay,
+    pair_laws: wp.array[PairLaw],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def flow_pairs(
+    awake: Awake,
+    clay: Clay,
+    pair_laws: wp.array[PairLaw],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> None:
+    """`pair_rows.flow_pairs`."""
+    flow_block(wp.tid(), awake, clay, pair_laws, material, velocity, pairs)
+
+
+_DIRECTION = """
     const float px = p[3 * i], py = p[3 * i + 1], pz = p[3 * i + 2];
 """
 
 
 @wp.func_native(
-    _ROW
-    + """
-    float total = 0.f;
-    #pragma clang loop vectorize(enable) interleave(disable)
-    for (int e = 0; e < n; e++) {
-        const int j = 3 * other[e];
-        const float dx = px - p[j], dy = py - p[j + 1], dz = pz - p[j + 2];
-        total += slope[e] * (nx[e] * dx + ny[e] * dy + nz[e] * dz);
+    over_block(
+        """
+    const float* __restrict__ p = (const float*)direction.data;
+    const float square = time_step * time_step;
+""",
+        """
+    if (pairs.compression.data[i] <= 0.f) {
+        pressure_change.data[i] = 0.f;
+        continue;
     }
-    return total;
-}"""
-)
-def press_row(i: int, width: int, pairs: PairRows, direction: wp.array[wp.vec3]) -> float: ...  # type: ignore[empty-body]
-
-
-@wp.func_native(
-    _ROW
-    + """
-    const float* __restrict__ stiffness = pairs.stiffness.data + row;
-    const float* __restrict__ pressure = pressure_change.data;
-    const float own = pressure[i];
-    float ax = 0.f, ay = 0.f, az = 0.f;
-    #pragma clang loop vectorize(enable) interleave(disable)
-    for (int e = 0; e < n; e++) {
-        const int k = other[e], j = 3 * k;
-        const float dx = px - p[j], dy = py - p[j + 1], dz = pz - p[j + 2];
-        const float closing = nx[e] * dx + ny[e] * dy + nz[e] * dz;
-        const float pull = stiffness[e] * closing + slope[e] * (own + pressure[k]);
-        ax += nx[e] * pull;
-        ay += ny[e] * pull;
-        az += nz[e] * pull;
+"""
+        + _ROW
+        + _DIRECTION
+        + """
+    f8 total = zero;
+    for (int e = 0; e < end; e += 8) {
+        f8 x, y, z;
+        pick3(p, other + e, x, y, z);
+        total += load(slope + e)
+            * (load(nx + e) * (px - x) + load(ny + e) * (py - y) + load(nz + e) * (pz - z));
     }
-    return wp::vec3(ax, ay, az);
-}"""
+    const float scale = bodies.data[material.data[i]].pressure_stiffness * square;
+    pressure_change.data[i] = sum(total) * scale;
+""",
+    )
 )
-def multiply_row(
-    i: int,
-    width: int,
+def press_block(
+    block: int,
+    awake: Awake,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    time_step: float,
     pairs: PairRows,
     direction: wp.array[wp.vec3],
     pressure_change: wp.array[float],
-) -> wp.vec3: ...
-
-
-@wp.func_native("""{
-    #pragma clang fp reassociate(on) contract(fast)
-    const int n = pairs.count.data[i];
-    const int row = i * width;
-    const int* __restrict__ other = pairs.other.data + row;
-    const float* __restrict__ nx = pairs.direction_x.data + row;
-    const float* __restrict__ ny = pairs.direction_y.data + row;
-    const float* __restrict__ nz = pairs.direction_z.data + row;
-    const float* __restrict__ distance = pairs.distance.data + row;
-    const float* __restrict__ length = pairs.length.data + row;
-    float* __restrict__ next = pairs.distance_next.data + row;
-    const float* __restrict__ v = (const float*)velocity.data;
-    const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
-    const float inverse_radius = 1.f / kernel_radius;
-    float density = 0.f, stretch = 0.f, bonds = 0.f;
-    #pragma clang loop vectorize(enable) interleave(disable)
-    for (int e = 0; e < n; e++) {
-        const int j = 3 * other[e];
-        const float x = nx[e] * distance[e] + (v[j] - vx) * time_step;
-        const float y = ny[e] * distance[e] + (v[j + 1] - vy) * time_step;
-        const float z = nz[e] * distance[e] + (v[j + 2] - vz) * time_step;
-        const float apart = __builtin_sqrtf(x * x + y * y + z * z);
-        const float t = __builtin_fmaxf(1.f - apart * inverse_radius, 0.f);
-        const float bonded = length[e] > 0.f ? 1.f : 0.f;
-        next[e] = apart;
-        density += t * t * t;
-        stretch += bonded * (apart - length[e]);
-        bonds += bonded;
-    }
-    return wp::vec3(density, stretch, bonds);
-}""")
-def measure_row(
-    i: int,
-    width: int,
-    kernel_radius: float,
-    time_step: float,
-    pairs: PairRows,
-    velocity: wp.array[wp.vec3],
-) -> wp.vec3: ...
-
-
-@wp.kernel(enable_backward=False)
-def measure_pairs(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
-    """`pair_rows.measure_pairs`, a row at a time."""
-    i = wp.tid()
-    row = measure_row(i, _WIDTH, clay.kernel_radius, clay.time_step, pairs, velocity)
-    pairs.mean_stretch[i] = row[1] / wp.max(row[2], 1.0)
-    density = (1.0 + row[0]) * clay.inverse_rest_sum
-    pairs.compression[i] = wp.max(density - 1.0, 0.0)
+) -> None: ...
 
 
 @wp.kernel(enable_backward=False)
 def press_pairs(
+    awake: Awake,
     bodies: wp.array[Body],
     material: wp.array[int],
     time_step: float,
@@ -134,24 +436,69 @@ def press_pairs(
     direction: wp.array[wp.vec3],
     pressure_change: wp.array[float],
 ) -> None:
-    """`pair_rows.press_pairs`, a row at a time."""
-    i = wp.tid()
-    total = float(0.0)
-    if pairs.compression[i] > 0.0:
-        total = press_row(i, _WIDTH, pairs, direction)
-    scale = bodies[material[i]].pressure_stiffness * time_step * time_step
-    pressure_change[i] = total * scale
+    """`pair_rows.press_pairs`."""
+    press_block(wp.tid(), awake, bodies, material, time_step, pairs, direction, pressure_change)
 
 
-@wp.kernel(enable_backward=False)
-def multiply_pairs(
+@wp.func_native(
+    over_block(
+        """
+    const float* __restrict__ p = (const float*)direction.data;
+    const float* __restrict__ pressure = pressure_change.data;
+    double energy = 0.0;
+""",
+        _ROW
+        + _DIRECTION
+        + """
+    const float own = pressure[i];
+    f8 ax = zero, ay = zero, az = zero;
+    for (int e = 0; e < end; e += 8) {
+        f8 x, y, z;
+        pick3(p, other + e, x, y, z);
+        const f8 dx = load(nx + e), dy = load(ny + e), dz = load(nz + e);
+        const f8 closing = dx * (px - x) + dy * (py - y) + dz * (pz - z);
+        const f8 pull = load(stiffness + e) * closing
+            + load(slope + e) * (own + pick(pressure, other + e));
+        ax += dx * pull;
+        ay += dy * pull;
+        az += dz * pull;
+    }
+    const float* b = (const float*)own_block.data + 9 * (long long)i;
+    const float x = sum(ax) + b[0] * px + b[1] * py + b[2] * pz;
+    const float y = sum(ay) + b[3] * px + b[4] * py + b[5] * pz;
+    const float z = sum(az) + b[6] * px + b[7] * py + b[8] * pz;
+    float* total = (float*)product.data + 3 * (long long)i;
+    total[0] = x;
+    total[1] = y;
+    total[2] = z;
+    energy += x * px + y * py + z * pz;
+""",
+        "curvature.data[0] += energy;",
+    )
+)
+def multiply_block(
+    block: int,
+    awake: Awake,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     pressure_change: wp.array[float],
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
+    curvature: wp.array[wp.float64],
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def multiply_pairs(
+    awake: Awake,
+    pairs: PairRows,
+    own_block: wp.array[wp.mat33],
+    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec3],
+    product: wp.array[wp.vec3],
+    curvature: wp.array[wp.float64],
 ) -> None:
-    """`pair_rows.multiply_pairs`, a row at a time."""
-    i = wp.tid()
-    row = multiply_row(i, _WIDTH, pairs, direction, pressure_change)
-    product[i] = own_block[i] * direction[i] + row
+    """`pair_rows.multiply_pairs`."""
+    multiply_block(
+        wp.tid(), awake, pairs, own_block, pressure_change, direction, product, curvature
+    )

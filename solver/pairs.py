@@ -1,102 +1,113 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The acting pairs of a scene and the passes over them."""
 
-from typing import Any
-
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from . import pair_rows_cpu
+from . import pair_rows, pair_rows_cpu
 from .bond_law import Clay
-from .neighbors import Neighbors
-from .pair_rows import (
-    MOST_PAIRS,
-    PairRows,
-    flow_pairs,
-    gather_pairs,
-    measure_pairs,
-    multiply_pairs,
-    press_pairs,
-    sum_forces,
+from .pair_rows import MOST_SLOTS, PairRows
+from .particles import Particles
+
+_BY_SLOT = (
+    "direction_x",
+    "direction_y",
+    "direction_z",
+    "distance",
+    "distance_next",
+    "stiffness",
+    "slope",
 )
 
 
+@wp.kernel(enable_backward=False)
+def copy_rows(before: PairRows, after: PairRows) -> None:
+    """Carry neighbours and rest lengths over to another layout."""
+    i = wp.tid()
+    for e in range(after.listed[i]):
+        after.other[after.first[i] + e] = before.other[before.first[i] + e]
+        after.rest_length[after.first[i] + e] = before.rest_length[before.first[i] + e]
+
+
 class Pairs:
-    """The acting pairs and the passes over them.
+    """The rows of neighbours and the passes over those that act.
 
     Args:
-        particle_count: Number of particles.
-        device: Warp device.
+        particles: Whose pairs.
     """
 
-    def __init__(self, particle_count: int, device: wp.Device) -> None:
-        self.device = device
-        self.particle_count = particle_count
+    def __init__(self, particles: Particles) -> None:
+        self.particles = particles
+        count, device = particles.count, particles.device
         rows = PairRows()
-        shape = (particle_count, MOST_PAIRS)
-        for name in ("other", "slot"):
-            setattr(rows, name, wp.zeros(shape, dtype=int, device=device))
-        for name in (
-            "length",
-            "direction_x",
-            "direction_y",
-            "direction_z",
-            "distance",
-            "distance_next",
-            "stiffness",
-            "slope",
-        ):
-            setattr(rows, name, wp.zeros(shape, dtype=float, device=device))
-        rows.count = wp.zeros(particle_count, dtype=int, device=device)
-        rows.mean_stretch = wp.zeros(particle_count, dtype=float, device=device)
-        rows.compression = wp.zeros(particle_count, dtype=float, device=device)
+        for name in ("first", "room", "listed", "acting"):
+            setattr(rows, name, wp.zeros(count, dtype=int, device=device))
+        for name in ("mean_stretch", "compression"):
+            setattr(rows, name, wp.zeros(count, dtype=float, device=device))
         self.rows = rows
-        self.overflow = wp.zeros(1, dtype=int, device=device)
-        self._measure, self._press, self._multiply = measure_pairs, press_pairs, multiply_pairs
-        if device.is_cpu:
-            self._measure = pair_rows_cpu.measure_pairs
-            self._press = pair_rows_cpu.press_pairs
-            self._multiply = pair_rows_cpu.multiply_pairs
+        self.generation = 0
+        self._slots = 0
+        self.lay_out(np.zeros(count, np.int32))
+        self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
+        self._passes = pair_rows_cpu if device.is_cpu else pair_rows
+        self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
-    def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
-        wp.launch(kernel, dim=self.particle_count, inputs=list(inputs), device=self.device)
+    def lay_out(self, needed: NDArray[np.int32]) -> None:
+        """Give every row as much room as it needs, and keep what is in the rows.
 
-    def gather(self, clay: Clay, position: wp.array, neighbors: Neighbors) -> None:
-        """Collect the pairs that act from here."""
-        self._launch(
-            gather_pairs,
-            clay,
-            position,
-            neighbors.count,
-            neighbors.index,
-            neighbors.rest_length,
-            self.rows,
-            self.overflow,
-        )
+        Args:
+            needed: Slots for each particle, shape [N].
+        """
+        rows, device = self.rows, self.particles.device
+        # A little more, so that rows need not move often.
+        room = (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+        first = np.cumsum(room) - room
+        before = PairRows()
+        before.first, before.other, before.rest_length = rows.first, rows.other, rows.rest_length
+        rows.first = wp.array(first, dtype=int, device=device)
+        rows.room = wp.array(room, dtype=int, device=device)
+        total = int(room.sum())
+        if total > self._slots:
+            self._slots = total + total // 8
+            for name in _BY_SLOT:
+                setattr(rows, name, wp.zeros(self._slots, dtype=float, device=device))
+        # Beside what the rows hold now, for copying.
+        rows.other = wp.zeros(self._slots, dtype=int, device=device)
+        rows.rest_length = wp.zeros(self._slots, dtype=float, device=device)
+        wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
+        self.generation += 1
 
-    def measure(self, clay: Clay, velocity: wp.array) -> None:
-        """Find lengths and volumes at the end of a substep with these velocities."""
-        self._launch(self._measure, clay, velocity, self.rows)
+    def gather(self, clay: Clay) -> None:
+        """Collect the pairs that act from here, and measure them at the present velocities."""
+        particles = self.particles
+        # The CPU's pass needs a list of the rows that it leaves to the plain one.
+        left = [self._left] if particles.device.is_cpu else []
+        motion = [particles.position, particles.velocity]
+        self._launch(self._passes.lay_pairs, clay, *motion, self.rows, *left)
+
+    def measure(self, clay: Clay) -> None:
+        """Find lengths and volumes at the end of a substep with the present velocities."""
+        self._launch(self._passes.measure_pairs, clay, self.particles.velocity, self.rows)
 
     def sum_forces(
         self,
         clay: Clay,
         pair_laws: wp.array,
         bodies: wp.array,
-        material: wp.array,
-        velocity_free: wp.array,
-        velocity: wp.array,
         residual: wp.array,
         diagonal: wp.array,
     ) -> None:
-        """Residual impulse and tangent at these velocities; `measure` comes first."""
+        """Residual impulse and tangent at the present velocities; `measure` comes first."""
+        particles = self.particles
         self._launch(
-            sum_forces,
+            self._passes.sum_forces,
             clay,
             pair_laws,
             bodies,
-            material,
-            velocity_free,
-            velocity,
+            particles.material,
+            particles.velocity_free,
+            particles.velocity,
             self.rows,
             residual,
             diagonal,
@@ -106,21 +117,51 @@ class Pairs:
         self,
         clay: Clay,
         bodies: wp.array,
-        material: wp.array,
         own_block: wp.array,
         direction: wp.array,
         pressure_change: wp.array,
         product: wp.array,
+        curvature: wp.array,
     ) -> None:
-        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first."""
-        time_step = clay.time_step
-        self._launch(
-            self._press, bodies, material, time_step, self.rows, direction, pressure_change
-        )
-        self._launch(self._multiply, self.rows, own_block, pressure_change, direction, product)
+        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
 
-    def flow(
-        self, clay: Clay, pair_laws: wp.array, material: wp.array, neighbors: Neighbors
-    ) -> None:
-        """Write the rest lengths after flow; `measure` at the final velocities comes first."""
-        self._launch(flow_pairs, clay, pair_laws, material, self.rows, neighbors.rest_length)
+        Args:
+            clay: What all pairs share.
+            bodies: What particles of each material have of their own.
+            own_block: Mass and contacts alone [kg].
+            direction: What to multiply [m/s].
+            pressure_change: Room for work.
+            product: The product [N s].
+            curvature: Direction times product is added to it [J].
+        """
+        particles = self.particles
+        self._launch(
+            self._passes.press_pairs,
+            bodies,
+            particles.material,
+            clay.time_step,
+            self.rows,
+            direction,
+            pressure_change,
+        )
+        self._launch(
+            self._passes.multiply_pairs,
+            self.rows,
+            own_block,
+            pressure_change,
+            direction,
+            product,
+            curvature,
+        )
+
+    def flow(self, clay: Clay, pair_laws: wp.array) -> None:
+        """Write the rest lengths after flow, at the final velocities."""
+        particles = self.particles
+        self._launch(
+            self._passes.flow_pairs,
+            clay,
+            pair_laws,
+            particles.material,
+            particles.velocity,
+            self.rows,
+        )

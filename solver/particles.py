@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The particles of a scene on the device, and how they fall and move."""
+"""The particles of a scene on the device, which of them are awake, and how they fall and move."""
+
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from . import particles_cpu
+from .awake import Awake, awake_particle
 from .scene import Scene
+from .vector_units import BLOCK
 
 
 @wp.kernel(enable_backward=False)
 def fall_freely(
+    awake: Awake,
     kick: wp.vec3,
     velocity: wp.array[wp.vec3],
     velocity_free: wp.array[wp.vec3],
@@ -19,7 +25,9 @@ def fall_freely(
 
     A velocity that is not finite is taken for rest: it must not reach the others.
     """
-    i = wp.tid()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     if not wp.isfinite(velocity[i]):
         velocity[i] = wp.vec3()
         wp.atomic_add(quarantined, 0, 1)
@@ -28,6 +36,7 @@ def fall_freely(
 
 @wp.kernel(enable_backward=False)
 def move(
+    awake: Awake,
     time_step: float,
     velocity: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
@@ -36,7 +45,9 @@ def move(
     quarantined: wp.array[int],
 ) -> None:
     """Move particles; one whose new state is not finite stays where it is, at rest."""
-    i = wp.tid()
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
     speed = wp.length(velocity[i])
     if speed > speed_limit[0]:
         velocity[i] = velocity[i] * (speed_limit[0] / speed)
@@ -47,6 +58,11 @@ def move(
     else:
         velocity[i] = wp.vec3()
         wp.atomic_add(quarantined, 0, 1)
+
+
+def zero_vectors(count: int, device: wp.Device) -> wp.array:
+    """Vectors with room behind the last: vector units read four floats at a time."""
+    return wp.zeros(count + 1, dtype=wp.vec3, device=device)[:count]
 
 
 class Particles:
@@ -71,15 +87,31 @@ class Particles:
         """Each particle's place among the materials."""
         self.mass = wp.array(masses, dtype=float, device=device)
         """Mass of a particle of each material [kg]."""
-        self.position = wp.array(scene.initial_positions(), dtype=wp.vec3, device=device)
+        self.position = zero_vectors(self.count, device)
         """[m]"""
-        self.velocity = wp.array(scene.initial_velocities(), dtype=wp.vec3, device=device)
+        self.position.assign(scene.initial_positions())
+        self.velocity = zero_vectors(self.count, device)
         """[m/s], at the middle of a substep."""
+        self.velocity.assign(scene.initial_velocities())
         self.velocity_free = wp.zeros(self.count, dtype=wp.vec3, device=device)
         """Velocities that nothing but gravity has changed in this substep [m/s]."""
         self.speed_limit = wp.zeros(1, dtype=float, device=device)
         self.clamped = wp.zeros(1, dtype=int, device=device)
         self.quarantined = wp.zeros(1, dtype=int, device=device)
+        self.awake = Awake()
+        self.awake.count = wp.full(1, self.count, dtype=int, device=device)
+        self.awake.index = wp.array(np.arange(self.count), dtype=int, device=device)
+        self.threads = self.count
+        """Threads in a pass: at least as many as particles are awake."""
+
+    def launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """Run a pass over the particles that are awake; ``Awake`` is its first argument."""
+        wp.launch(kernel, dim=self.threads, inputs=[self.awake, *inputs], device=self.device)
+
+    def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """Run a pass whose threads take a block of particles each."""
+        blocks = (self.threads + BLOCK - 1) // BLOCK
+        wp.launch(kernel, dim=blocks, inputs=[self.awake, *inputs], device=self.device)
 
     def fall_freely(self, time_step: float, time_step_before: float) -> None:
         """Set ``velocity_free``.
@@ -88,28 +120,26 @@ class Particles:
         free fall is exact whatever the substeps (leapfrog).
         """
         kick = wp.vec3(*self.gravity) * (0.5 * (time_step + time_step_before))
-        wp.launch(
-            fall_freely,
-            dim=self.count,
-            inputs=[kick, self.velocity, self.velocity_free, self.quarantined],
-            device=self.device,
-        )
+        inputs = [kick, self.velocity, self.velocity_free, self.quarantined]
+        if self.device.is_cpu:
+            self.launch_blocks(particles_cpu.fall_freely, *inputs)
+        else:
+            self.launch(fall_freely, *inputs)
 
     def move(self, time_step: float) -> None:
         """Move with the velocities, no faster than the speed limit."""
-        wp.launch(
-            move,
-            dim=self.count,
-            inputs=[
-                time_step,
-                self.velocity,
-                self.position,
-                self.speed_limit,
-                self.clamped,
-                self.quarantined,
-            ],
-            device=self.device,
-        )
+        inputs = [
+            time_step,
+            self.velocity,
+            self.position,
+            self.speed_limit,
+            self.clamped,
+            self.quarantined,
+        ]
+        if self.device.is_cpu:
+            self.launch_blocks(particles_cpu.move, *inputs)
+        else:
+            self.launch(move, *inputs)
 
     def fastest(self) -> float:
         """Speed of the fastest particle [m/s]."""

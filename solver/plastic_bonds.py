@@ -17,7 +17,8 @@ from .bond_law import (
 )
 from .coarse_space import CoarseSpace
 from .conjugate_gradients import ConjugateGradients
-from .contact import ContactPass, Contacts
+from .contact import Contacts
+from .contact_law import ContactPass
 from .neighbors import Neighbors
 from .pairs import Pairs
 from .particles import Particles
@@ -54,37 +55,41 @@ class PlasticBonds:
         count, spacing, device = particles.count, particles.spacing, particles.device
         self.device = device
         self.diagonal = wp.zeros(count, dtype=wp.mat33, device=device)
-        self.own_block = wp.zeros(count, dtype=wp.mat33, device=device)
+        masses = np.array([m.density * spacing**3 for m in particles.materials])
+        own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
+        self.own_block = wp.array(own, dtype=wp.mat33, device=device)
+        """Mass and contacts of each particle [kg]."""
         self.bodies = wp.array(make_bodies(particles.materials, spacing), dtype=Body, device=device)
+        self.pairs = Pairs(particles)
         # Bonds stay listed however long they are; only those still to form must be found.
-        self.neighbors = Neighbors(count, FORM_REACH * spacing, SKIN * spacing, device)
-        self.pairs = Pairs(count, device)
-        self.gradients = ConjugateGradients(count, device)
-        self.coarse = CoarseSpace(count, spacing, device)
+        self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
+        self.gradients = ConjugateGradients(particles, settings.iterations)
+        self.coarse = CoarseSpace(particles)
         self._recordings = Recordings(device)
         self._laws: dict[float, tuple[Clay, wp.array]] = {}
         if count:
-            self.neighbors.rebuild(particles.position)
+            self.neighbors.rebuild()
             if settings.elastoplasticity:
-                self.neighbors.bond_all(particles.position, BOND_REACH * spacing)
+                self.neighbors.bond_all(BOND_REACH * spacing)
 
     def begin_step(self) -> None:
         """Lay the coarse cells over the clay."""
-        self.coarse.place_cells(self.particles.position)
+        self.coarse.place_cells(self.neighbors.rebuild_count)
 
     def run_substep(self, substep: ContactPass) -> None:
         """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
-        self.neighbors.rebuild_if_moved(self.particles.position)
+        self.neighbors.rebuild_if_moved()
         self._prepare_law(substep.time_step)
         # Generations, not addresses: a new array may lie where an old one was.
         key = (
             substep.time_step,
             substep.time_step_before,
             self.coarse.generation,
+            self.pairs.generation,
             self.contacts.generation,
         )
         self._recordings.run((*key, "open"), lambda: self._open(substep))
-        self.coarse.invert(self.particles.least_mass)
+        self.coarse.invert()
         self._recordings.run((*key, "close"), lambda: self._close(substep))
 
     def _prepare_law(self, time_step: float) -> None:
@@ -104,50 +109,31 @@ class PlasticBonds:
     def _open(self, substep: ContactPass) -> None:
         """Everything up to the coarse matrix."""
         particles = self.particles
-        self.pairs.gather(self.clay, particles.position, self.neighbors)
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
+        self.pairs.gather(self.clay)
         self._linearize(substep)
-        self.coarse.assemble(particles.position, self.own_block, self.pairs)
+        self.coarse.assemble(self.own_block, self.pairs)
 
     def _close(self, substep: ContactPass) -> None:
         """Newton's method, and what follows from the velocities it finds."""
-        particles = self.particles
         for newton in range(NEWTON_STEPS):
             if newton > 0:
+                self.pairs.measure(self.clay)
                 self._linearize(substep)
             self.gradients.solve(
-                self.settings.iterations,
-                self.clay,
-                self.bodies,
-                particles.material,
-                particles.position,
-                self.pairs,
-                self.diagonal,
-                self.own_block,
-                self.coarse,
-                particles.velocity,
+                self.clay, self.bodies, self.pairs, self.diagonal, self.own_block, self.coarse
             )
         self.contacts.settle(substep, self.gradients.change)
-        self.pairs.measure(self.clay, particles.velocity)
-        self.pairs.flow(self.clay, self.pair_laws, particles.material, self.neighbors)
-        particles.move(substep.time_step)
+        self.pairs.flow(self.clay, self.pair_laws)
+        self.particles.move(substep.time_step)
+        self.neighbors.measure()
 
     def _linearize(self, substep: ContactPass) -> None:
         """Residual and tangent of pairs and contacts at the present velocities."""
-        particles = self.particles
-        self.pairs.measure(self.clay, particles.velocity)
-        self.pairs.sum_forces(
-            self.clay,
-            self.pair_laws,
-            self.bodies,
-            particles.material,
-            particles.velocity_free,
-            particles.velocity,
-            self.gradients.residual,
-            self.diagonal,
-        )
-        self.contacts.press(substep, self.gradients.residual, self.diagonal, self.own_block)
+        residual = self.gradients.residual
+        self.pairs.sum_forces(self.clay, self.pair_laws, self.bodies, residual, self.diagonal)
+        self.contacts.press(substep, residual, self.diagonal, self.own_block)
 
     def compression(self) -> NDArray[np.float32]:
         """Each particle's density over that at rest, less one, where positive; shape [N]."""
@@ -155,8 +141,8 @@ class PlasticBonds:
 
     @property
     def overflow(self) -> int:
-        """Neighbours and pairs that found no room, since the beginning."""
-        return self.neighbors.overflow + int(self.pairs.overflow.numpy()[0])
+        """Neighbours that found no room, since the beginning."""
+        return self.neighbors.overflow
 
     def passes(self) -> list[str]:
         """What a substep consists of."""
@@ -166,12 +152,12 @@ class PlasticBonds:
         """Bonds, and what they have been through."""
         return {
             "compression": self.compression().copy(),
-            "pair_overflow": self.pairs.overflow.numpy().copy(),
             **self.neighbors.snapshot(),
+            **self.coarse.snapshot(),
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
         self.pairs.rows.compression.assign(state["compression"])
-        self.pairs.overflow.assign(state["pair_overflow"])
         self.neighbors.restore(state)
+        self.coarse.restore(state)

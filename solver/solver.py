@@ -8,7 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .clay_model import ClayModel
-from .contact import MARGIN, ContactPass, Contacts
+from .contact import Contacts
+from .contact_law import MARGIN, ContactPass
 from .diagnostics import Diagnostics
 from .particles import Particles
 from .plastic_bonds import PlasticBonds
@@ -131,12 +132,12 @@ class Solver:
         """
         meshes = self._contacts.meshes
         assert meshes is not None
-        motions, boxes = meshes.farthest_motion()
+        stride = 0.25 * self.scene.spacing
+        motions, boxes = meshes.farthest_motion(stride * shortest)
         # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
         low, high = self._particles.box() + np.array([[-reach], [reach]])
         near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
-        stride = 0.25 * self.scene.spacing
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = [
@@ -249,9 +250,9 @@ class Solver:
         if set(own) != set(snapshot):
             raise ValueError("The snapshot is of a scene with other parts, or damaged.")
         for name in own:
-            # Rows of neighbours are cut to the widest.
-            depth = 1 if name.startswith("neighbor_") else None
-            if own[name].shape[:depth] != snapshot[name].shape[:depth]:
+            # How many neighbours and cells there are differs from moment to moment.
+            first = 1 if name.startswith(("neighbor_", "coarse_")) else 0
+            if own[name].shape[first:] != snapshot[name].shape[first:]:
                 raise ValueError(
                     f"The snapshot has {name} of shape {snapshot[name].shape}, this scene "
                     f"{own[name].shape}: it is of another scene."

@@ -17,7 +17,7 @@ WITH_KERNELS = sorted(
 
 def test_there_are_kernels():
     """Find the modules that hold kernels."""
-    assert {"contact", "neighbors", "pair_rows", "particles"} <= set(WITH_KERNELS)
+    assert {"contact_law", "neighbors", "pair_rows", "particles"} <= set(WITH_KERNELS)
 
 
 @pytest.mark.parametrize("name", WITH_KERNELS)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The passes over contacts for the CPU: most particles touch nothing and are passed by.
+
+A block of particles is screened for those near a collider; the contact law itself is
+`contact_law`'s. A test holds the screening to `contact_law.comes_near`.
+"""
+
+import warp as wp
+
+from .awake import Awake
+from .contact_law import (
+    ContactPass,
+    ContactSlots,
+    Surroundings,
+    find_contacts,
+    press_contacts,
+    settle_contacts,
+)
+from .vector_units import BLOCK, OPTIONS, over_block
+
+wp.set_module_options(OPTIONS)
+
+
+@wp.struct
+class Near:
+    """Particles that may touch something in this substep."""
+
+    count: wp.array[int]
+    """How many, in each block."""
+    index: wp.array[int]
+    """Those of a block stand together, a block's length from those of the next."""
+
+
+def make_near(particle_count: int, device: wp.Device) -> Near:
+    """Room for all particles."""
+    blocks = (particle_count + BLOCK - 1) // BLOCK
+    near = Near()
+    near.count = wp.zeros(blocks, dtype=int, device=device)
+    near.index = wp.zeros(blocks * BLOCK, dtype=int, device=device)
+    return near
+
+
+@wp.func_native(
+    over_block(
+        """
+    const int planes = around.plane_point.shape[0], meshes = around.mesh.shape[0];
+    const long long pitch = meshes ? around.clearance.strides[0] / sizeof(float) : 0;
+    const float dt = common.time_step, dt_before = common.time_step_before;
+    const float reach = common.radius + common.margin;
+    int found = 0;
+""",
+        """
+    bool comes = slots.count.data[i] > 0;
+    const float* x = (const float*)position.data + 3 * (long long)i;
+    const float* v = (const float*)velocity.data + 3 * (long long)i;
+    for (int plane = 0; plane < planes; plane++) {
+        const float* n = (const float*)around.plane_normal.data + 3 * plane;
+        const float* p = (const float*)around.plane_point.data + 3 * plane;
+        const float gap = (x[0] - p[0]) * n[0] + (x[1] - p[1]) * n[1] + (x[2] - p[2]) * n[2];
+        const float closing = -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]) * dt;
+        comes |= gap - (closing > 0.f ? closing : 0.f) < reach;
+    }
+    const float speed = __builtin_sqrtf(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    for (int which = 0; which < meshes; which++) {
+        float* clearance = around.clearance.data + which * pitch + i;
+        const float bound = *clearance - speed * dt_before - around.travel.data[which];
+        *clearance = bound;
+        comes |= bound - speed * dt <= reach;
+    }
+    if (comes) near.index.data[begin + found++] = i;
+""",
+        """
+    near.count.data[block] = found;
+    return found;
+""",
+    )
+)
+def screen_block(  # type: ignore[empty-body]
+    block: int,
+    awake: Awake,
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    near: Near,
+) -> int: ...
+
+
+@wp.kernel(enable_backward=False)
+def find_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    near: Near,
+) -> None:
+    """`contact_law.find_all_contacts`."""
+    block = wp.tid()
+    found = screen_block(block, awake, common, around, position, velocity, slots, near)
+    for k in range(found):
+        find_contacts(common, around, position, velocity, slots, near.index[block * BLOCK + k])
+
+
+@wp.kernel(enable_backward=False)
+def press_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+    near: Near,
+) -> None:
+    """`contact_law.press_all_contacts`."""
+    block = wp.tid()
+    for k in range(near.count[block]):
+        i = near.index[block * BLOCK + k]
+        press_contacts(
+            common,
+            friction,
+            material,
+            mass,
+            velocity,
+            slots,
+            residual,
+            diagonal,
+            own_block,
+            i,
+        )
+
+
+@wp.kernel(enable_backward=False)
+def settle_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+    near: Near,
+) -> None:
+    """`contact_law.settle_all_contacts`."""
+    block = wp.tid()
+    for k in range(near.count[block]):
+        i = near.index[block * BLOCK + k]
+        settle_contacts(common, friction, material, velocity, change, slots, impulse, deepest, i)

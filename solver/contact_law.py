@@ -1,0 +1,355 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Contact and Coulomb friction between clay particles and planes or moving closed meshes.
+
+A particle is a ball of half the spacing. Contacts are found once a substep and then stay what
+they are, a plane each; how hard they push is part of the implicit solve. Friction holds a contact
+by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
+2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
+a collider is moved out no faster than `DEPENETRATION_SPEED`.
+"""
+
+import warp as wp
+
+from .awake import Awake, awake_particle
+
+DEPENETRATION_SPEED = 0.5
+"""Speed at which something that lies inside a collider is moved out [m/s]."""
+MOST_CONTACTS = 4
+"""Contacts that a particle can have at once."""
+MARGIN = 0.25
+"""Contacts are found this far off the surface, in spacings: a substep may close the gap."""
+CONTACT_STIFFNESS = 2.0
+"""Stiffness of a contact over that of the clay around the particle."""
+
+
+@wp.struct
+class ContactPass:
+    """What all contacts share, for one substep."""
+
+    time_step: float
+    time_step_before: float
+    radius: float
+    """Radius of a particle [m]."""
+    margin: float
+    """How far off contacts are found [m]."""
+
+
+@wp.struct
+class ContactSlots:
+    """Contacts of all particles, `MOST_CONTACTS` for each."""
+
+    count: wp.array[int]
+    collider: wp.array2d[int]
+    normal: wp.array2d[wp.vec3]
+    gap: wp.array2d[float]
+    """Distance between ball and surface at the start of the substep [m]."""
+    surface_motion: wp.array2d[wp.vec3]
+    """What the surface moves in this substep [m]."""
+    anchor: wp.array2d[wp.vec3]
+    """Stretch of the friction spring [m]."""
+    impulse: wp.array2d[wp.vec3]
+    """Impulse on the particle at the velocities last looked at [N s]."""
+    normal_stiffness: wp.array2d[float]
+    """[kg]: force derivative times Δt²."""
+    friction_stiffness: wp.array2d[float]
+    """[kg]; less than the normal one where the contact slides."""
+    count_before: wp.array[int]
+    collider_before: wp.array2d[int]
+    anchor_before: wp.array2d[wp.vec3]
+
+
+@wp.func
+def add_contact(
+    slots: ContactSlots,
+    i: int,
+    collider: int,
+    normal: wp.vec3,
+    gap: float,
+    surface_motion: wp.vec3,
+) -> None:
+    """Give a particle a contact, with the anchor that it had on this collider before."""
+    used = slots.count[i]
+    if used < MOST_CONTACTS:
+        slots.collider[i, used] = collider
+        slots.normal[i, used] = normal
+        slots.gap[i, used] = gap
+        slots.surface_motion[i, used] = surface_motion
+        slots.impulse[i, used] = wp.vec3()
+        anchor = wp.vec3()
+        for k in range(slots.count_before[i]):
+            if slots.collider_before[i, k] == collider:
+                anchor = slots.anchor_before[i, k]
+        slots.anchor[i, used] = anchor - normal * wp.dot(anchor, normal)
+        slots.count[i] = used + 1
+
+
+@wp.struct
+class Surroundings:
+    """The colliders, as contact search sees them."""
+
+    plane_point: wp.array[wp.vec3]
+    plane_normal: wp.array[wp.vec3]
+    mesh: wp.array[wp.uint64]
+    pose: wp.array2d[wp.transform]
+    """Of each mesh, by substep."""
+    substep: wp.array[int]
+    """Which of a step's substeps is under way; on the device, so that it can be recorded."""
+    orientation: wp.array[float]
+    """-1 for a mesh that its pose mirrors."""
+    reach: wp.array[float]
+    """How far off a mesh is looked for [m]."""
+    travel: wp.array[float]
+    """What each mesh moves in a substep at most [m]."""
+    clearance: wp.array2d[float]
+    """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
+    up, the mesh is not asked."""
+
+
+@wp.func
+def comes_near(
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    i: int,
+) -> bool:
+    """Tell whether a particle may touch something in this substep, or touched it in the last."""
+    near = bool(slots.count[i] > 0)
+    speed = wp.length(velocity[i])
+    for plane in range(around.plane_point.shape[0]):
+        normal = around.plane_normal[plane]
+        gap = wp.dot(position[i] - around.plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(velocity[i], normal), 0.0) * common.time_step
+        if gap - closing < common.margin:
+            near = True
+    for which in range(around.mesh.shape[0]):
+        bound = around.clearance[which, i] - speed * common.time_step_before - around.travel[which]
+        around.clearance[which, i] = bound
+        if bound - speed * common.time_step <= common.radius + common.margin:
+            near = True
+    return near
+
+
+@wp.func
+def find_contacts(
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    i: int,
+) -> None:
+    """Find what a particle may touch in this substep; `comes_near` comes first."""
+    for k in range(slots.count[i]):
+        slots.collider_before[i, k] = slots.collider[i, k]
+        slots.anchor_before[i, k] = slots.anchor[i, k]
+    slots.count_before[i] = slots.count[i]
+    slots.count[i] = 0
+    x = position[i]
+    motion = velocity[i] * common.time_step
+    near = common.radius + common.margin
+    plane_count = around.plane_point.shape[0]
+    for which in range(around.mesh.shape[0]):
+        bound = around.clearance[which, i] - wp.length(motion)
+        if bound > near:
+            continue
+        before = around.pose[which, around.substep[0]]
+        after = around.pose[which, around.substep[0] + 1]
+        local = wp.transform_point(wp.transform_inverse(after), x + motion)
+        # While motion cannot have used up a positive clearance, the particle is outside: no need
+        # to find the sign, which costs several times as much as the nearest point.
+        sign = float(1.0)
+        reach = around.reach[which]
+        if bound > 0.0:
+            reach = wp.min(reach, 4.0 * near)
+            query = wp.mesh_query_point_no_sign(around.mesh[which], local, reach)
+        else:
+            query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
+            sign = query.sign
+        if not query.result:
+            around.clearance[which, i] = reach - wp.length(motion)
+            continue
+        nearest = wp.mesh_eval_position(around.mesh[which], query.face, query.u, query.v)
+        offset = local - nearest
+        apart = wp.length(offset)
+        around.clearance[which, i] = sign * apart - wp.length(motion)
+        if sign * apart < near:
+            if apart > 1.0e-4 * common.radius:
+                normal = offset * (sign / apart)
+            else:
+                face_normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
+                normal = face_normal * around.orientation[which]
+            normal = wp.transform_vector(after, normal)
+            drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
+            surface_motion = wp.transform_point(after, nearest) - wp.transform_point(
+                before, nearest - drift
+            )
+            gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
+            add_contact(slots, i, plane_count + which, normal, gap, surface_motion)
+    for plane in range(plane_count):
+        normal = around.plane_normal[plane]
+        gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(motion, normal), 0.0)
+        if gap - closing < common.margin:
+            add_contact(slots, i, plane, normal, gap, wp.vec3())
+
+
+@wp.kernel(enable_backward=False)
+def find_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+) -> None:
+    """Find what each particle may touch in this substep."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0 and comes_near(common, around, position, velocity, slots, i):
+        find_contacts(common, around, position, velocity, slots, i)
+
+
+@wp.func
+def press_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+    i: int,
+) -> None:
+    """Add contact impulses and their tangent to the system: the one contact law.
+
+    A contact pushes with a stiffness times its penetration, tangentially with that stiffness
+    times the slip of its anchor, but at most μ times the normal push.
+    """
+    dt = common.time_step
+    block = wp.identity(n=3, dtype=float) * mass[material[i]]
+    contact_count = slots.count[i]
+    if contact_count > 0:
+        stiffness = CONTACT_STIFFNESS * wp.trace(diagonal[i]) / 3.0
+        contacts = wp.mat33()
+        push = wp.vec3()
+        for k in range(contact_count):
+            n = slots.normal[i, k]
+            relative = velocity[i] * dt - slots.surface_motion[i, k]
+            gap = slots.gap[i, k]
+            allowed = wp.min(gap + DEPENETRATION_SPEED * dt, 0.0)
+            depth = allowed - gap - wp.dot(relative, n)
+            impulse = wp.vec3()
+            normal_stiffness = float(0.0)
+            friction_stiffness = float(0.0)
+            if depth > 0.0:
+                normal_stiffness = stiffness
+                normal_push = stiffness * depth / dt
+                slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+                slip_length = wp.length(slip)
+                limit = friction[material[i], slots.collider[i, k]] * normal_push
+                friction_stiffness = wp.min(stiffness, limit * dt / wp.max(slip_length, 1.0e-12))
+                impulse = n * normal_push - slip * (friction_stiffness / dt)
+                contacts += (
+                    wp.outer(n, n) * (normal_stiffness - friction_stiffness)
+                    + wp.identity(n=3, dtype=float) * friction_stiffness
+                )
+                push += impulse
+            slots.impulse[i, k] = impulse
+            slots.normal_stiffness[i, k] = normal_stiffness
+            slots.friction_stiffness[i, k] = friction_stiffness
+        residual[i] = residual[i] + push
+        diagonal[i] = diagonal[i] + contacts
+        block += contacts
+    own_block[i] = block
+
+
+@wp.kernel(enable_backward=False)
+def press_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+) -> None:
+    """`press_contacts` for each particle."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        press_contacts(
+            common,
+            friction,
+            material,
+            mass,
+            velocity,
+            slots,
+            residual,
+            diagonal,
+            own_block,
+            i,
+        )
+
+
+@wp.func
+def settle_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+    i: int,
+) -> None:
+    """Sum the impulses that the solve applied, and let anchors stretch or slide.
+
+    The impulse is the linear one that the solve saw: what momentum really changed by.
+    """
+    dt = common.time_step
+    for k in range(slots.count[i]):
+        n = slots.normal[i, k]
+        relative = velocity[i] * dt - slots.surface_motion[i, k]
+        normal_stiffness = slots.normal_stiffness[i, k]
+        if normal_stiffness > 0.0:
+            held = slots.friction_stiffness[i, k]
+            along = wp.dot(change[i], n)
+            applied = (
+                slots.impulse[i, k]
+                - n * (along * normal_stiffness)
+                - (change[i] - n * along) * held
+            )
+            slots.impulse[i, k] = applied
+            wp.atomic_add(impulse, slots.collider[i, k], wp.vec3d(-applied))
+            slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+            slip_length = wp.length(slip)
+            limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
+            most = limit * dt / normal_stiffness
+            slots.anchor[i, k] = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+        else:
+            slots.anchor[i, k] = wp.vec3()
+        wp.atomic_max(deepest, 0, -slots.gap[i, k] - wp.dot(relative, n))
+
+
+@wp.kernel(enable_backward=False)
+def settle_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+) -> None:
+    """`settle_contacts` for each particle."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        settle_contacts(common, friction, material, velocity, change, slots, impulse, deepest, i)

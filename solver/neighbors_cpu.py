@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Neighbour search on the CPU: particles sorted by cell, and rows filled by vector units.
+
+The passes of `neighbors`; a test compares the two.
+"""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .awake import Awake, awake_particle
+from .pair_rows import PairRows, keep_bonds
+from .vector_units import OPTIONS, VECTORS, over_block
+
+wp.set_module_options(OPTIONS)
+
+_CELL_LIMIT = 1 << 20
+
+
+@wp.struct
+class CellGrid:
+    """Particles sorted by cell, for the CPU."""
+
+    low: wp.vec3
+    """Corner of the first cell [m]."""
+    inverse_edge: float
+    x_count: int
+    y_count: int
+    z_count: int
+    cell: wp.array[int]
+    """Of each particle."""
+    start: wp.array[int]
+    """Where each cell's particles begin in the order."""
+    order: wp.array[int]
+    """Particles by cell."""
+    x: wp.array[float]
+    y: wp.array[float]
+    z: wp.array[float]
+    """Their positions in that order [m]."""
+    mark: wp.array[int]
+    """Scratch, one for each particle."""
+
+
+@wp.kernel(enable_backward=False)
+def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
+    """Count the particles in each cell; what lies outside the grid goes to its outermost cells."""
+    i = wp.tid()
+    place = (position[i] - grid.low) * grid.inverse_edge
+    x = int(wp.clamp(place[0], 0.0, float(grid.x_count - 1)))
+    y = int(wp.clamp(place[1], 0.0, float(grid.y_count - 1)))
+    z = int(wp.clamp(place[2], 0.0, float(grid.z_count - 1)))
+    cell = (z * grid.y_count + y) * grid.x_count + x
+    grid.cell[i] = cell
+    wp.atomic_add(grid.start, cell + 1, 1)
+
+
+@wp.kernel(enable_backward=False)
+def sum_starts(cells: int, grid: CellGrid) -> None:
+    """Turn counts into starts."""
+    total = int(0)
+    for cell in range(cells):
+        total += grid.start[cell]
+        grid.start[cell] = total
+
+
+@wp.kernel(enable_backward=False)
+def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
+    """Put particles in order; afterwards each start has moved to its cell's end."""
+    i = wp.tid()
+    slot = wp.atomic_add(grid.start, grid.cell[i], 1)
+    grid.order[slot] = i
+    grid.x[slot] = position[i][0]
+    grid.y[slot] = position[i][1]
+    grid.z[slot] = position[i][2]
+    grid.mark[i] = -1
+
+
+# Cells of a row along x lie one behind the other: nine runs hold all neighbours.
+@wp.func_native(
+    VECTORS
+    + """
+    const long long row = pairs.first.data[i];
+    const int room = pairs.room.data[i];
+    int* other = pairs.other.data + row;
+    float* rests = pairs.rest_length.data + row;
+    int* mark = grid.mark.data;
+    for (int e = 0; e < bonded; e++) mark[other[e]] = i;
+    mark[i] = i;
+    const float* p = (const float*)position.data + 3 * (long long)i;
+    const int nx = grid.x_count, ny = grid.y_count, nz = grid.z_count;
+    const int cell = grid.cell.data[i];
+    const int cx = cell % nx, cy = (cell / nx) % ny, cz = cell / (nx * ny);
+    const int x0 = cx > 0 ? cx - 1 : 0, x1 = cx + 1 < nx ? cx + 1 : nx - 1;
+    const int y0 = cy > 0 ? cy - 1 : 0, y1 = cy + 1 < ny ? cy + 1 : ny - 1;
+    const int z0 = cz > 0 ? cz - 1 : 0, z1 = cz + 1 < nz ? cz + 1 : nz - 1;
+    const f8 limit = (f8)(reach * reach);
+    int used = bonded;
+    for (int z = z0; z <= z1; z++) for (int y = y0; y <= y1; y++) {
+        const int line = (z * ny + y) * nx;
+        // A start has moved to its cell's end: the cell before it ends where it began.
+        const int begin = line + x0 > 0 ? grid.start.data[line + x0 - 1] : 0;
+        const int end = grid.start.data[line + x1];
+        for (int s = begin; s < end; s += 8) {
+            const f8 dx = load(grid.x.data + s) - p[0];
+            const f8 dy = load(grid.y.data + s) - p[1];
+            const f8 dz = load(grid.z.data + s) - p[2];
+            const i8 near = (dx * dx + dy * dy + dz * dz < limit) & (lanes + s < end);
+            if (!__builtin_reduce_or(near)) continue;
+            int found[8], count = 0;
+            for (int l = 0; l < 8; l++) {
+                found[count] = grid.order.data[s + l];
+                count -= near[l];
+            }
+            for (int l = 0; l < count; l++) {
+                const int j = found[l];
+                if (mark[j] == i) continue;
+                if (used < room) {
+                    other[used] = j;
+                    rests[used] = 0.f;
+                }
+                used++;
+            }
+        }
+    }
+    pairs.listed.data[i] = used < room ? used : room;
+    return used;
+}"""
+)
+def fill_row(  # type: ignore[empty-body]
+    i: int,
+    bonded: int,
+    reach: float,
+    position: wp.array[wp.vec3],
+    grid: CellGrid,
+    pairs: PairRows,
+) -> int: ...
+
+
+@wp.kernel(enable_backward=False)
+def fill_rows(
+    awake: Awake,
+    grid: CellGrid,
+    position: wp.array[wp.vec3],
+    reach: float,
+    pairs: PairRows,
+    needed: wp.array[int],
+) -> None:
+    """`neighbors.fill_rows`, from particles sorted by cell."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    bonded = keep_bonds(pairs, i)
+    needed[i] = fill_row(i, bonded, reach, position, grid, pairs)
+
+
+@wp.func_native(
+    over_block(
+        "float most_moved = 0.f;",
+        """
+    const float* x = (const float*)position.data + 3 * (long long)i;
+    const float* y = (const float*)listed_position.data + 3 * (long long)i;
+    const float a = x[0] - y[0], b = x[1] - y[1], c = x[2] - y[2];
+    const float square = a * a + b * b + c * c;
+    most_moved = square > most_moved ? square : most_moved;
+""",
+        "if (most_moved > largest.data[0]) largest.data[0] = most_moved;",
+    )
+)
+def measure_block(
+    block: int,
+    awake: Awake,
+    position: wp.array[wp.vec3],
+    listed_position: wp.array[wp.vec3],
+    largest: wp.array[float],
+) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def measure_displacement(
+    awake: Awake,
+    position: wp.array[wp.vec3],
+    listed_position: wp.array[wp.vec3],
+    largest: wp.array[float],
+) -> None:
+    """`neighbors.measure_displacement`."""
+    measure_block(wp.tid(), awake, position, listed_position, largest)
+
+
+def make_cell_grid(particle_count: int, reach: float, device: wp.Device) -> CellGrid:
+    """Room for all particles, in cells of the edge ``reach`` [m]."""
+    grid = CellGrid()
+    for name in ("cell", "order", "mark"):
+        setattr(grid, name, wp.zeros(particle_count + 8, dtype=int, device=device))
+    for name in ("x", "y", "z"):
+        # Vector units read up to seven behind the last.
+        setattr(grid, name, wp.zeros(particle_count + 8, dtype=float, device=device))
+    grid.start = wp.zeros(1, dtype=int, device=device)
+    grid.inverse_edge = 1.0 / reach
+    return grid
+
+
+def sort_into_cells(grid: CellGrid, position: wp.array, reach: float) -> None:
+    """Sort all particles by cell.
+
+    Args:
+        grid: Of `make_cell_grid`.
+        position: Where the particles are [m].
+        reach: The edge of a cell [m].
+    """
+    points = position.numpy()
+    low, high = points.min(0), points.max(0)
+    counts = np.floor((high - low) / reach) + 1.0
+    if np.prod(counts) > _CELL_LIMIT:
+        # The bulk of the clay decides where cells lie; strays share the outermost ones.
+        low, high = np.quantile(points, [0.01, 0.99], axis=0)
+        counts = np.floor((high - low) / reach) + 1.0
+        counts *= min(1.0, float(np.cbrt(_CELL_LIMIT / np.prod(counts))))
+    counts = np.clip(counts, 1.0, _CELL_LIMIT).astype(int)
+    cells = int(np.prod(counts))
+    if cells + 1 > len(grid.start):
+        grid.start = wp.zeros(cells + 1, dtype=int, device=position.device)
+    else:
+        grid.start.zero_()
+    grid.low = wp.vec3(*low)
+    grid.x_count, grid.y_count, grid.z_count = (int(n) for n in counts)
+
+    def launch(kernel: wp.Kernel, dim: int, *inputs: Any) -> None:
+        wp.launch(kernel, dim=dim, inputs=list(inputs), device=position.device)
+
+    launch(find_cells, len(points), position, grid)
+    launch(sum_starts, 1, cells + 1, grid)
+    launch(sort_by_cell, len(points), position, grid)

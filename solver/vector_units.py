@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""C++ that passes for the CPU's vector units have in common: eight pairs at a time.
+
+Clang's vector types compile to whatever the processor has (AVX, NEON). A pass works on a block of
+particles at a time: calling a kernel for each costs as much as the work itself.
+"""
+
+OPTIONS = {"cpu_compiler_flags": "-O3 -march=native"}
+"""Module options: the compiler may use all that this processor has."""
+BLOCK = 64
+"""Particles in a block."""
+
+VECTORS = """{
+    #pragma clang fp reassociate(on) contract(fast)
+    typedef float f4 __attribute__((ext_vector_type(4)));
+    typedef float f8 __attribute__((ext_vector_type(8)));
+    typedef int i8 __attribute__((ext_vector_type(8)));
+    typedef f4 f4u __attribute__((aligned(4)));
+    typedef f8 f8u __attribute__((aligned(4)));
+    const f8 zero = (f8)(0.f);
+    const i8 lanes = {0, 1, 2, 3, 4, 5, 6, 7};
+    auto load = [](const float* p) __attribute__((always_inline)) { return *(const f8u*)p; };
+    auto store = [](float* p, f8 v) __attribute__((always_inline)) { *(f8u*)p = v; };
+    auto most = [](f8 a, f8 b) __attribute__((always_inline)) {
+        return __builtin_elementwise_max(a, b);
+    };
+    auto least = [](f8 a, f8 b) __attribute__((always_inline)) {
+        return __builtin_elementwise_min(a, b);
+    };
+    auto size = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_abs(a); };
+    auto root = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_sqrt(a); };
+    auto sum = [](f8 a) __attribute__((always_inline)) {
+        const f4 b = a.lo + a.hi;
+        return (b.x + b.z) + (b.y + b.w);
+    };
+    // Eight numbers from anywhere.
+    auto pick = [](const float* p, const int* j) __attribute__((always_inline)) {
+        return (f8){p[j[0]], p[j[1]], p[j[2]], p[j[3]], p[j[4]], p[j[5]], p[j[6]], p[j[7]]};
+    };
+    // Eight vectors from anywhere, by axis: whole loads and a transposition.
+    auto pick3 = [](const float* p, const int* j, f8& x, f8& y, f8& z)
+        __attribute__((always_inline)) {
+        const f4 a = *(const f4u*)(p + 3 * j[0]), b = *(const f4u*)(p + 3 * j[1]);
+        const f4 c = *(const f4u*)(p + 3 * j[2]), d = *(const f4u*)(p + 3 * j[3]);
+        const f4 e = *(const f4u*)(p + 3 * j[4]), f = *(const f4u*)(p + 3 * j[5]);
+        const f4 g = *(const f4u*)(p + 3 * j[6]), h = *(const f4u*)(p + 3 * j[7]);
+        const f8 ae = __builtin_shufflevector(a, e, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 bf = __builtin_shufflevector(b, f, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 cg = __builtin_shufflevector(c, g, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 dh = __builtin_shufflevector(d, h, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 ab = __builtin_shufflevector(ae, bf, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f8 cd = __builtin_shufflevector(cg, dh, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f8 ab2 = __builtin_shufflevector(ae, bf, 2, 10, 3, 11, 6, 14, 7, 15);
+        const f8 cd2 = __builtin_shufflevector(cg, dh, 2, 10, 3, 11, 6, 14, 7, 15);
+        x = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
+        y = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+        z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
+    };
+"""
+
+
+def over_block(setup: str, body: str, result: str = "") -> str:
+    """Text of a native function that works on a block of particles.
+
+    Args:
+        setup: What comes before the particles.
+        body: What happens to each particle ``i``.
+        result: What comes after them.
+
+    Returns:
+        The text; the function must have the arguments ``block`` and ``awake``.
+    """
+    return f"""{VECTORS}
+    const int awake_count = awake.count.data[0], begin = block * {BLOCK};
+    const int stop = begin + {BLOCK} < awake_count ? begin + {BLOCK} : awake_count;
+    {setup}
+    for (int thread = begin; thread < stop; thread++) {{
+        const int i = awake.index.data[thread];
+        {body}
+    }}
+    {result}
+}}"""
