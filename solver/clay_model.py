@@ -14,6 +14,24 @@ class ClayModel(Protocol):
     A model is built with the particles, the contacts and the settings, and changes them in place.
     """
 
+    @property
+    def can_sleep(self) -> bool:
+        """Whether parts of the clay may sleep while others move."""
+
+    def rest(self, resting: NDArray, time_step: float) -> None:
+        """Bring particles to rest that fall asleep.
+
+        Args:
+            resting: Their indices.
+            time_step: Length of the last substep [s].
+        """
+
+    def wake(self, woken: NDArray) -> None:
+        """Take up particles that are about to wake; they still count as resting."""
+
+    def woken(self) -> None:
+        """Go on with them, now that they are awake."""
+
     def begin_step(self) -> None:
         """Prepare for the substeps of a step."""
 

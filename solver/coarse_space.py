@@ -140,7 +140,7 @@ class CoarseSpace:
             return
         self.placed_at = rebuild_count
         particles = self.particles
-        low, high = particles.box()
+        low, high = particles.awake_box
         extent = (high - low).astype(np.float64)
         edge = CELL * particles.spacing
         while True:
@@ -166,6 +166,13 @@ class CoarseSpace:
         center[: len(chosen)] = low + sums[chosen] / occupants[chosen, None]
         self.center.assign(center)
         self.size.fill_(MODES * len(occupied))
+
+    def release(self, resting: NDArray[np.int64]) -> None:
+        """Let go of particles that fell asleep, and lay the cells anew before the next solve."""
+        cell = self.cell.numpy().copy()
+        cell[resting] = -1
+        self.cell.assign(cell)
+        self.placed_at = -_REBUILDS
 
     def snapshot(self) -> dict[str, NDArray]:
         """How the cells lie."""

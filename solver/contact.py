@@ -17,7 +17,9 @@ from .contact_law import (
     Surroundings,
     find_all_contacts,
     press_all_contacts,
+    rest_contacts,
     settle_all_contacts,
+    wake_contacts,
 )
 from .particles import Particles
 from .scene import MeshCollider, Plane, Scene
@@ -69,6 +71,7 @@ class Contacts:
         around = Surroundings()
         around.plane_point = self.planes.point if self.planes else _nothing(wp.vec3, device)
         around.plane_normal = self.planes.normal if self.planes else _nothing(wp.vec3, device)
+        around.clearance = wp.zeros((0, 0), dtype=float, device=device)
         if self.meshes:
             for name in ("mesh", "substep", "orientation", "reach", "travel", "clearance"):
                 setattr(around, name, getattr(self.meshes, name))
@@ -76,6 +79,8 @@ class Contacts:
         self._near = contact_cpu.make_near(particles.count, device) if device.is_cpu else None
         self.impulse = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
         """On each collider in this step [N s]."""
+        self.resting_force = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
+        """Of clay that sleeps, on each collider [N]."""
         self.deepest = wp.zeros(1, dtype=float, device=device)
         """How far any particle's ball lay inside a collider in this step [m]."""
 
@@ -83,6 +88,24 @@ class Contacts:
     def generation(self) -> int:
         """Changes whenever an array gives way to another."""
         return self.meshes.generation if self.meshes else 0
+
+    def rest(self, resting: wp.array, time_step: float) -> None:
+        """Keep the forces of particles that fall asleep.
+
+        Args:
+            resting: Their indices.
+            time_step: Length of the last substep [s].
+        """
+        if self.colliders:
+            inputs = [resting, time_step, self.slots, self.resting_force]
+            wp.launch(rest_contacts, dim=len(resting), inputs=inputs, device=self.device)
+
+    def wake(self, woken: wp.array) -> None:
+        """Take up the contacts of particles that wake, given their indices."""
+        if self.colliders:
+            clearance = self.meshes.clearance if self.meshes else self._surroundings.clearance
+            inputs = [woken, self.slots, clearance, self.resting_force]
+            wp.launch(wake_contacts, dim=len(woken), inputs=inputs, device=self.device)
 
     def begin_step(self) -> None:
         """Forget what the last step summed up."""
@@ -166,6 +189,8 @@ class Contacts:
             "contact_count": self.slots.count.numpy().copy(),
             "contact_collider": self.slots.collider.numpy().copy(),
             "contact_anchor": self.slots.anchor.numpy().copy(),
+            "contact_impulse": self.slots.impulse.numpy().copy(),
+            "contact_resting_force": self.resting_force.numpy().copy(),
             **(self.meshes.snapshot() if self.meshes else {}),
         }
 
@@ -176,6 +201,8 @@ class Contacts:
         self.slots.count.assign(state["contact_count"])
         self.slots.collider.assign(state["contact_collider"])
         self.slots.anchor.assign(state["contact_anchor"])
+        self.slots.impulse.assign(state["contact_impulse"])
+        self.resting_force.assign(state["contact_resting_force"])
         if self.meshes:
             self.meshes.restore(state)
 

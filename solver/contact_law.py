@@ -353,3 +353,35 @@ def settle_all_contacts(
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         settle_contacts(common, friction, material, velocity, change, slots, impulse, deepest, i)
+
+
+@wp.kernel(enable_backward=False)
+def rest_contacts(
+    resting: wp.array[int],
+    time_step: float,
+    slots: ContactSlots,
+    force: wp.array[wp.vec3d],
+) -> None:
+    """Keep the forces with which particles that fall asleep lie on colliders.
+
+    While they sleep, their slots hold forces [N] in place of impulses.
+    """
+    i = resting[wp.tid()]
+    for k in range(slots.count[i]):
+        slots.impulse[i, k] = slots.impulse[i, k] / time_step
+        wp.atomic_add(force, slots.collider[i, k], wp.vec3d(-slots.impulse[i, k]))
+
+
+@wp.kernel(enable_backward=False)
+def wake_contacts(
+    woken: wp.array[int],
+    slots: ContactSlots,
+    clearance: wp.array2d[float],
+    force: wp.array[wp.vec3d],
+) -> None:
+    """Let go of those forces; where colliders are now must be looked up."""
+    i = woken[wp.tid()]
+    for k in range(slots.count[i]):
+        wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))
+    for which in range(clearance.shape[0]):
+        clearance[which, i] = 0.0

@@ -82,6 +82,20 @@ def measure_displacement(
         wp.atomic_max(largest, 0, moved)
 
 
+@wp.kernel(enable_backward=False)
+def match_rows(woken: wp.array[int], pairs: PairRows) -> None:
+    """Let particles that wake take over how their bonds to awake ones have changed meanwhile."""
+    i = woken[wp.tid()]
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        if pairs.resting[j] == 0:
+            rest = float(0.0)
+            for theirs in range(pairs.first[j], pairs.first[j] + pairs.acting[j]):
+                if pairs.other[theirs] == i:
+                    rest = wp.max(pairs.rest_length[theirs], 0.0)
+            pairs.rest_length[slot] = rest
+
+
 class Neighbors:
     """Fills rows, and tells when they must be filled again.
 
@@ -141,6 +155,15 @@ class Neighbors:
             self.pairs.rows,
             self.needed,
         )
+
+    def match(self, woken: wp.array) -> None:
+        """Bring the rows of particles up to date that are about to wake.
+
+        Args:
+            woken: Their indices; they still count as resting.
+        """
+        inputs = [woken, self.pairs.rows]
+        wp.launch(match_rows, dim=len(woken), inputs=inputs, device=self.particles.device)
 
     def bond_all(self, bond_reach: float) -> None:
         """Bond all pairs closer than ``bond_reach`` [m] as they lie."""

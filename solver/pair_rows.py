@@ -31,6 +31,8 @@ class PairRows:
     """Slots in use."""
     acting: wp.array[int]
     """Slots that act, from the first."""
+    resting: wp.array[int]
+    """1 for a particle that sleeps: it forms no bonds."""
     other: wp.array[int]
     rest_length: wp.array[float]
     """[m]; 0 for a free pair, negative while a bond is counted in."""
@@ -107,7 +109,8 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
         else:
             slot += 1
     for candidate in range(end, first + pairs.listed[i]):
-        if wp.length(position[pairs.other[candidate]] - x) < clay.form_reach:
+        j = pairs.other[candidate]
+        if pairs.resting[j] == 0 and wp.length(position[j] - x) < clay.form_reach:
             pairs.rest_length[candidate] = -1.0
             swap_slots(pairs, candidate, end)
             end += 1

@@ -45,6 +45,7 @@ class Pairs:
             setattr(rows, name, wp.zeros(count, dtype=int, device=device))
         for name in ("mean_stretch", "compression"):
             setattr(rows, name, wp.zeros(count, dtype=float, device=device))
+        rows.resting = particles.resting
         self.rows = rows
         self.generation = 0
         self._slots = 0

@@ -103,6 +103,27 @@ class Particles:
         self.awake.index = wp.array(np.arange(self.count), dtype=int, device=device)
         self.threads = self.count
         """Threads in a pass: at least as many as particles are awake."""
+        self.resting = wp.zeros(self.count, dtype=int, device=device)
+        """1 for a particle that sleeps."""
+        self.awake_box = self.box()
+        """Lowest and highest corner of what is awake [m], shape [2, 3]."""
+
+    def set_awake(self, index: NDArray[np.int64]) -> None:
+        """Choose the particles that passes work on from here.
+
+        Args:
+            index: Which, ascending.
+        """
+        padded = np.zeros(self.count, np.int32)
+        padded[: len(index)] = index
+        self.awake.index.assign(padded)
+        self.awake.count.fill_(len(index))
+        resting = np.ones(self.count, np.int32)
+        resting[index] = 0
+        self.resting.assign(resting)
+        # Few different numbers of threads: each is recorded once.
+        quarter = max(BLOCK, 1 << max(len(index).bit_length() - 3, 0))
+        self.threads = min(self.count, -(-len(index) // quarter) * quarter)
 
     def launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass over the particles that are awake; ``Awake`` is its first argument."""

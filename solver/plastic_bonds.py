@@ -33,6 +33,20 @@ NEWTON_STEPS = 2
 """Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
 
 
+@wp.kernel(enable_backward=False)
+def stand_still(
+    resting: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    direction: wp.array[wp.vec3],
+    pressure_change: wp.array[float],
+) -> None:
+    """Let particles do nothing in any pass that awake neighbours take part in."""
+    i = resting[wp.tid()]
+    velocity[i] = wp.vec3()
+    direction[i] = wp.vec3()
+    pressure_change[i] = 0.0
+
+
 class PlasticBonds:
     """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
 
@@ -72,6 +86,32 @@ class PlasticBonds:
             if settings.elastoplasticity:
                 self.neighbors.bond_all(BOND_REACH * spacing)
 
+    can_sleep = True
+
+    def rest(self, resting: NDArray[np.int64], time_step: float) -> None:
+        """Bring particles to rest that fall asleep: to the others they are a wall."""
+        index = wp.array(resting, dtype=int, device=self.device)
+        self.contacts.rest(index, time_step)
+        inputs = [
+            index,
+            self.particles.velocity,
+            self.gradients.data.direction,
+            self.gradients.pressure_change,
+        ]
+        wp.launch(stand_still, dim=len(resting), inputs=inputs, device=self.device)
+        self.coarse.release(resting)
+
+    def wake(self, woken: NDArray[np.int64]) -> None:
+        """Take up particles that are about to wake; they still count as resting."""
+        index = wp.array(woken, dtype=int, device=self.device)
+        self.contacts.wake(index)
+        self.neighbors.match(index)
+
+    def woken(self) -> None:
+        """Find their neighbours, and lay the coarse cells anew."""
+        self.neighbors.rebuild()
+        self.coarse.release(np.zeros(0, int))
+
     def begin_step(self) -> None:
         """Lay the coarse cells over the clay."""
         self.coarse.place_cells(self.neighbors.rebuild_count)
@@ -86,6 +126,7 @@ class PlasticBonds:
             substep.time_step_before,
             self.coarse.generation,
             self.pairs.generation,
+            self.particles.threads,
             self.contacts.generation,
         )
         self._recordings.run((*key, "open"), lambda: self._open(substep))

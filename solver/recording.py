@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable
 
 import warp as wp
 
-MOST_RECORDINGS = 16
+MOST_RECORDINGS = 64
 """Recordings kept; the oldest goes first."""
 
 

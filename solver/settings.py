@@ -29,6 +29,9 @@ class Settings:
     friction: bool = True
     """Coulomb friction on colliders; off, everything slides."""
 
+    sleeping: bool = True
+    """Let clay that has come to rest sleep until something disturbs it."""
+
     def __post_init__(self) -> None:
         if not 1 <= self.substeps <= 4096:
             raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")

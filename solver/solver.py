@@ -13,6 +13,7 @@ from .contact_law import MARGIN, ContactPass
 from .diagnostics import Diagnostics
 from .particles import Particles
 from .plastic_bonds import PlasticBonds
+from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
 from .settings import Settings
 
@@ -80,6 +81,8 @@ class Solver:
         self._particles = Particles(scene, self.device)
         self._contacts = Contacts(scene, self._particles, friction=self.settings.friction)
         self._model: ClayModel = PlasticBonds(self._particles, self._contacts, self.settings)
+        sleeping = self.settings.sleeping and self._model.can_sleep
+        self._regions = Regions(self._particles, sleeping=sleeping)
 
     def step(self, duration: float = BASE_STEP) -> None:
         """Advance by ``duration`` [s]; colliders reach what was last set for them.
@@ -90,22 +93,48 @@ class Solver:
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"A step of {duration!r} s is not possible; it must be above 0.")
         shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
-        speed = self._particles.fastest()
+        speed = self._regions.fastest
         most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
         substeps = max(shortest, min(math.ceil(speed * duration / self.scene.spacing), most))
         motion = 0.0
         if self._contacts.meshes:
             substeps, motion = self._plan_colliders(shortest, substeps)
+        else:
+            self._wake([])
         self._limit_speed(speed, motion / duration, duration)
         time_step = duration / substeps
         self._contacts.begin_step()
-        if self.scene.particle_count:
+        if not self._regions.asleep.all():
             self._model.begin_step()
             for substep in range(substeps):
                 self._run_substep(time_step, substep, substeps)
+            self._regions.measure(duration)
+            self._doze(duration)
         self.time += duration
         self._duration = duration
         self._substeps = substeps
+
+    def _wake(self, boxes: list[NDArray[np.float64]]) -> None:
+        """Wake the clay that colliders moving through ``boxes`` [m] or other clay disturb."""
+        regions = self._regions
+        woken = regions.lay_out() if regions.outgrown else np.zeros(0, np.int64)
+        wake = regions.disturbed(boxes)
+        if wake.any():
+            regions.asleep = regions.asleep & ~wake
+            woken = np.union1d(woken, regions.members(wake))
+        if len(woken):
+            self._model.wake(woken)
+            regions.set_asleep(regions.asleep)
+            self._model.woken()
+
+    def _doze(self, duration: float) -> None:
+        """Let clay fall asleep that has come to rest."""
+        regions = self._regions
+        tired = regions.doze(duration)
+        if tired.any():
+            fell = regions.members(tired)
+            regions.set_asleep(regions.asleep | tired)
+            self._model.rest(fell, self._time_step_before)
 
     def _limit_speed(self, speed: float, collider_speed: float, duration: float) -> None:
         """Bound how fast anything can become in this step.
@@ -136,7 +165,7 @@ class Solver:
         motions, boxes = meshes.farthest_motion(stride * shortest)
         # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
-        low, high = self._particles.box() + np.array([[-reach], [reach]])
+        low, high = self._regions.box + np.array([[-reach], [reach]])
         near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
@@ -145,6 +174,7 @@ class Solver:
             for motion, jumps, close in zip(motions, teleported, near, strict=True)
             if close and not jumps
         ]
+        self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         farthest = max(swept, default=0.0)
         substeps = max(substeps, math.ceil(farthest / stride))
         self._teleported += sum(teleported)
@@ -182,7 +212,8 @@ class Solver:
         """
         for which, known in enumerate(self._contacts.colliders):
             if known is collider:
-                return self._contacts.impulse.numpy()[which] / self._duration
+                moving = self._contacts.impulse.numpy()[which] / self._duration
+                return moving + self._contacts.resting_force.numpy()[which]
         raise ValueError("That collider is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:
@@ -192,11 +223,11 @@ class Solver:
         speed = 0.0
         if count:
             compression = float(self._model.compression().mean())
-            speed = self._particles.fastest()
+            speed = self._regions.fastest
         return Diagnostics(
             time=self.time,
             particle_count=count,
-            awake=count,
+            awake=int(self._particles.awake.count.numpy()[0]),
             substeps=self._substeps,
             volume_error=compression,
             max_penetration=float(self._contacts.deepest.numpy()[0]),
@@ -238,6 +269,7 @@ class Solver:
             **self._particles.snapshot(),
             **self._model.snapshot(),
             **self._contacts.snapshot(),
+            **self._regions.snapshot(),
         }
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
@@ -250,8 +282,8 @@ class Solver:
         if set(own) != set(snapshot):
             raise ValueError("The snapshot is of a scene with other parts, or damaged.")
         for name in own:
-            # How many neighbours and cells there are differs from moment to moment.
-            first = 1 if name.startswith(("neighbor_", "coarse_")) else 0
+            # How many neighbours, cells and regions there are differs from moment to moment.
+            first = 1 if name.startswith(("neighbor_", "coarse_", "region_")) else 0
             if own[name].shape[first:] != snapshot[name].shape[first:]:
                 raise ValueError(
                     f"The snapshot has {name} of shape {snapshot[name].shape}, this scene "
@@ -262,6 +294,7 @@ class Solver:
         self._time_step_before = float(snapshot["time_step_before"])
         self._teleported = int(snapshot["teleported"])
         self._particles.restore(snapshot)
+        self._regions.restore(snapshot)
         self._model.restore(snapshot)
         self._contacts.restore(snapshot)
 

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions of clay that fall asleep when they have come to rest, and wake when they are disturbed.
+
+Clay that sleeps keeps its place, its bonds and the force with which it lies on colliders, and
+holds its awake neighbours like a wall: a poke into much clay costs what the poked part costs.
+"""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from . import regions_cpu
+from .awake import Awake, awake_particle
+from .particles import Particles
+
+EDGE = 8.0
+"""Edge of a region, in spacings."""
+SLEEP_SPEED = 0.002
+"""What is slower than this has come to rest, in spacings a second."""
+SLEEP_DELAY = 0.25
+"""How long a region must have been at rest to fall asleep [s]."""
+RELAY_TRAVEL = 2.0
+"""Regions are laid anew when something may have moved this far, in spacings."""
+WAKE_TRAVEL = 0.02
+"""A region wakes those around it when it may have moved this far, in spacings."""
+_REGION_LIMIT = 1 << 15
+
+
+@wp.kernel(enable_backward=False)
+def assign_regions(
+    position: wp.array[wp.vec3],
+    low: wp.vec3,
+    inverse_edge: float,
+    y_count: int,
+    z_count: int,
+    region: wp.array[int],
+) -> None:
+    """Find the region each particle lies in."""
+    i = wp.tid()
+    place = (position[i] - low) * inverse_edge
+    region[i] = (int(place[0]) * y_count + int(place[1])) * z_count + int(place[2])
+
+
+@wp.kernel(enable_backward=False)
+def measure_regions(
+    awake: Awake,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    region: wp.array[int],
+    measures: wp.array2d[float],
+) -> None:
+    """Find the box and the highest speed of what is awake in each region.
+
+    A row of ``measures`` holds highest corner, negated lowest corner, and squared speed.
+    """
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    own = region[i]
+    x = position[i]
+    for axis in range(3):
+        wp.atomic_max(measures, own, axis, x[axis])
+        wp.atomic_max(measures, own, 3 + axis, -x[axis])
+    wp.atomic_max(measures, own, 6, wp.length_sq(velocity[i]))
+
+
+class Regions:
+    """Which parts of the clay are awake.
+
+    Args:
+        particles: The clay.
+        sleeping: Whether anything may fall asleep at all.
+    """
+
+    def __init__(self, particles: Particles, *, sleeping: bool) -> None:
+        self.particles = particles
+        self.sleeping = sleeping
+        device = particles.device
+        self.region = wp.zeros(particles.count, dtype=int, device=device)
+        self._awake = np.ones(particles.count, bool)
+        self.lay_out()
+
+    @property
+    def outgrown(self) -> bool:
+        """Whether clay may have moved so far that regions should be laid out anew."""
+        return self._way > RELAY_TRAVEL * self.particles.spacing
+
+    def lay_out(self) -> NDArray[np.int64]:
+        """Lay a grid of regions over the clay.
+
+        Returns:
+            Indices of particles that sleep, but now share a region with some that do not: they
+            must wake before `set_asleep`.
+        """
+        particles = self.particles
+        low, high = particles.box()
+        extent = np.maximum(high.astype(float) - low, 1e-9)
+        edge = EDGE * particles.spacing
+        while np.prod(np.floor(extent / edge) + 1.0) > _REGION_LIMIT:
+            edge *= 1.25
+        # The highest particle must fall into the last region.
+        low = low - 1e-3 * edge
+        self.shape = tuple((np.floor((extent + 2e-3 * edge) / edge) + 1).astype(int).tolist())
+        _, y_count, z_count = self.shape
+        inputs = [particles.position, wp.vec3(*low), 1.0 / edge, y_count, z_count, self.region]
+        wp.launch(assign_regions, dim=particles.count, inputs=inputs, device=particles.device)
+        count = int(np.prod(self.shape))
+        region = self.region.numpy()
+        self.asleep = np.ones(count, bool)
+        self.asleep[region[self._awake]] = False
+        self.quiet = np.zeros(count)
+        self.travel = np.zeros(count)
+        self.measures = wp.zeros((count, 7), dtype=float, device=particles.device)
+        self.boxes = np.zeros((count, 2, 3))
+        self.speed = np.zeros(count)
+        self._way = 0.0
+        self._measure_sleeping(region)
+        self.measure(0.0)
+        return np.flatnonzero(~self._awake & ~self.asleep[region])
+
+    def _measure_sleeping(self, region: NDArray[np.int32]) -> None:
+        """Measure the boxes of regions that sleep: nothing in them moves."""
+        self.boxes[:, 0], self.boxes[:, 1] = np.inf, -np.inf
+        if self.asleep.any():
+            asleep = ~self._awake
+            points, where = self.particles.position.numpy()[asleep], region[asleep]
+            np.minimum.at(self.boxes[:, 0], where, points)
+            np.maximum.at(self.boxes[:, 1], where, points)
+
+    @property
+    def fastest(self) -> float:
+        """Speed of the fastest particle when last measured [m/s]."""
+        return float(self.speed.max(initial=0.0))
+
+    @property
+    def box(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of all clay [m], shape [2, 3]."""
+        return np.stack([self.boxes[:, 0].min(0), self.boxes[:, 1].max(0)])
+
+    def measure(self, duration: float) -> None:
+        """Measure boxes and speeds of what is awake, after a step of ``duration`` [s]."""
+        if not self.particles.count:
+            return
+        self.measures.fill_(-np.inf)
+        inputs = [
+            self.particles.position,
+            self.particles.velocity,
+            self.region,
+            self.measures,
+        ]
+        if self.particles.device.is_cpu:
+            self.particles.launch_blocks(regions_cpu.measure_regions, *inputs)
+        else:
+            self.particles.launch(measure_regions, *inputs)
+        measures = self.measures.numpy()
+        awake = ~self.asleep
+        self.boxes[awake, 1] = measures[awake, :3]
+        self.boxes[awake, 0] = -measures[awake, 3:6]
+        self.speed[:] = 0.0
+        self.speed[awake] = np.sqrt(np.maximum(measures[awake, 6], 0.0))
+        self._find_awake_box()
+        self._way += self.fastest * duration
+
+    def doze(self, duration: float) -> NDArray[np.bool_]:
+        """Note what has been at rest, after a step of ``duration`` [s].
+
+        Returns:
+            The regions that should fall asleep now.
+        """
+        spacing = self.particles.spacing
+        at_rest = self.speed < SLEEP_SPEED * spacing
+        self.quiet = np.where(at_rest, self.quiet + duration, 0.0)
+        self.travel += self.speed * duration
+        if not self.sleeping:
+            return np.zeros_like(self.asleep)
+        # Beside moving clay it would only wake again.
+        calm = ~self._spread(~at_rest & ~self.asleep)
+        return ~self.asleep & calm & (self.quiet > SLEEP_DELAY)
+
+    def disturbed(self, boxes: list[NDArray[np.float64]]) -> NDArray[np.bool_]:
+        """Find the regions that must wake before the next step.
+
+        Args:
+            boxes: Swept by colliders that move, shape [2, 3] each [m].
+        """
+        moved = self.travel > WAKE_TRAVEL * self.particles.spacing
+        wake = self._spread(moved)
+        self.travel[moved] = 0.0
+        margin = 1.5 * self.particles.spacing
+        for low, high in boxes:
+            meets = (self.boxes[:, 0] < high + margin) & (self.boxes[:, 1] > low - margin)
+            wake |= meets.all(1)
+        wake &= self.asleep
+        self.quiet[wake] = 0.0
+        return wake
+
+    def _spread(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Choose the regions around those chosen, too."""
+        grown = chosen.reshape(self.shape)
+        for axis in range(3):
+            along = np.moveaxis(grown.copy(), axis, 0)
+            out = np.moveaxis(grown, axis, 0).copy()
+            out[1:] |= along[:-1]
+            out[:-1] |= along[1:]
+            grown = np.moveaxis(out, 0, axis)
+        return grown.ravel()
+
+    def members(self, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Indices of the particles in some regions, ``chosen`` of shape [R]."""
+        return np.flatnonzero(chosen[self.region.numpy()])
+
+    def set_asleep(self, asleep: NDArray[np.bool_]) -> None:
+        """Let regions sleep or wake.
+
+        Args:
+            asleep: Which regions sleep from now on, shape [R].
+        """
+        self.travel[asleep] = 0.0
+        self.speed[asleep] = 0.0
+        self.asleep = asleep
+        self._awake = ~asleep[self.region.numpy()]
+        self.particles.set_awake(np.flatnonzero(self._awake))
+        self._find_awake_box()
+        self._find_awake_box()
+
+    def _find_awake_box(self) -> None:
+        awake = self.boxes[~self.asleep]
+        if len(awake):
+            low, high = awake[:, 0].min(0), awake[:, 1].max(0)
+            self.particles.awake_box = np.stack([low, high])
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """Who sleeps, and how the regions lie."""
+        return {
+            "region_awake": self._awake.copy(),
+            "region_of_particle": self.region.numpy().copy(),
+            "region_shape": np.array(self.shape),
+            "region_asleep": self.asleep.copy(),
+            "region_quiet": self.quiet.copy(),
+            "region_travel": self.travel.copy(),
+            "region_boxes": self.boxes.copy(),
+            "region_speed": self.speed.copy(),
+            "region_way": np.array([self._way]),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        self._awake = state["region_awake"].copy()
+        self.region.assign(state["region_of_particle"])
+        self.shape = tuple(int(n) for n in state["region_shape"])
+        for name in ("asleep", "quiet", "travel", "boxes", "speed"):
+            setattr(self, name, state[f"region_{name}"].copy())
+        self._way = float(state["region_way"][0])
+        count = len(self.asleep)
+        self.measures = wp.zeros((count, 7), dtype=float, device=self.particles.device)
+        self.particles.set_awake(np.flatnonzero(self._awake))
+        self._find_awake_box()
