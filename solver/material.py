@@ -26,7 +26,10 @@ class Material:
     yield_stress: float = 5e3
     """Shear stress at which the clay starts to flow [Pa] (uniaxial: √3 times as much)."""
     viscosity: float = 200.0
-    """Resistance to flow beyond the yield stress [Pa·s]."""
+    """Resistance to flow beyond the yield stress [Pa·s], or with a flow index n its consistency
+    [Pa·sⁿ]: the shear stress of flowing clay is τ_y + K γ̇ⁿ (Herschel and Bulkley 1926)."""
+    flow_index: float = 1.0
+    """Power n of the strain rate: 1 for a Bingham material, below 1 where flow thins it."""
     shear_modulus: float = 1e5
     """Elastic shear modulus below the yield stress [Pa]."""
     friction: float = 0.5

@@ -13,7 +13,15 @@ the substep, its length that at the end: so pair forces conserve angular momentu
 import warp as wp
 
 from .awake import Awake, awake_particle
-from .bond_law import Body, Clay, PairLaw, flow_bond, kernel_slope, kernel_value
+from .bond_law import (
+    Body,
+    Clay,
+    PairLaw,
+    flow_bond,
+    flow_share,
+    kernel_slope,
+    kernel_value,
+)
 
 MOST_SLOTS = 96
 """Neighbours a particle can list: clay at three times its density within two spacings."""
@@ -48,8 +56,10 @@ class PairRows:
     """Tangent of the bond [kg]: force derivative times Δt²."""
     slope: wp.array[float]
     """How fast the pair's share of the density falls with distance [1/m]."""
-    mean_stretch: wp.array[float]
-    """Mean stretch of a particle's bonds [m]."""
+    dilation: wp.array[float]
+    """Mean linear strain of a particle's bonds."""
+    share: wp.array[float]
+    """Part of their stretch that a particle's bonds lose by flow in the substep."""
     compression: wp.array[float]
     """Density over that at rest, less one, where positive."""
 
@@ -139,23 +149,32 @@ def lay_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) ->
 
 
 @wp.func
-def measure_row(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Find the lengths of a particle's pairs at the end of the substep, and its volume."""
+def measure_row(
+    clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+    i: int,
+) -> None:
+    """Find the lengths of a particle's pairs at the end of the substep, its volume and stress."""
     v = velocity[i]
     density = clay.inverse_rest_sum
-    stretch = float(0.0)
-    bonds = float(0.0)
+    lengths = float(0.0)
+    stretch = wp.mat33()
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         closing = velocity[pairs.other[slot]] - v
-        way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
+        n = pair_direction(pairs, slot)
+        way = n * pairs.distance[slot] + closing * clay.time_step
         apart = wp.length(way)
         pairs.distance_next[slot] = apart
         density += kernel_value(clay, apart)
         rest = pairs.rest_length[slot]
         if rest > 0.0:
-            stretch += apart - rest
-            bonds += 1.0
-    pairs.mean_stretch[i] = stretch / wp.max(bonds, 1.0)
+            lengths += rest * rest
+            stretch += wp.outer(n, n) * ((apart - rest) * apart)
+    pairs.dilation[i] = wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing)
+    pairs.share[i] = flow_share(clay, bodies[material[i]], lengths, stretch)
     pairs.compression[i] = wp.max(density - 1.0, 0.0)
 
 
@@ -163,6 +182,8 @@ def measure_row(clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows, i: int
 def lay_pairs(
     awake: Awake,
     clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
@@ -172,15 +193,22 @@ def lay_pairs(
     if i >= 0:
         sort_row(clay, position, pairs, i)
         lay_row(clay, position, pairs, i)
-        measure_row(clay, velocity, pairs, i)
+        measure_row(clay, bodies, material, velocity, pairs, i)
 
 
 @wp.kernel(enable_backward=False)
-def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
-    """Find each pair's length at the end of the substep, and each particle's state of volume."""
+def measure_pairs(
+    awake: Awake,
+    clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> None:
+    """Find each pair's length at the end of the substep, each particle's volume and stress."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
-        measure_row(clay, velocity, pairs, i)
+        measure_row(clay, bodies, material, velocity, pairs, i)
 
 
 @wp.kernel(enable_backward=False)
@@ -204,7 +232,8 @@ def sum_forces(
     own = material[i]
     body = bodies[own]
     compression = pairs.compression[i]
-    mean_stretch = pairs.mean_stretch[i]
+    dilation = pairs.dilation[i]
+    share = pairs.share[i]
     pressure = body.pressure_stiffness * compression
     force = wp.vec3()
     slope_sum = wp.vec3()
@@ -222,7 +251,15 @@ def sum_forces(
         if rest > 0.0:
             law = pair_laws[own * clay.material_count + material[j]]
             pressed = compression + other_compression > 0.0
-            bond = flow_bond(clay, law, rest, apart, mean_stretch + pairs.mean_stretch[j], pressed)
+            bond = flow_bond(
+                clay,
+                law,
+                rest,
+                apart,
+                0.5 * (dilation + pairs.dilation[j]),
+                0.5 * (share + pairs.share[j]),
+                pressed,
+            )
             pull += law.stiffness * (apart - bond.rest_length)
             k = law.stiffness * bond.softening * dt * dt
         force += n * pull
@@ -250,7 +287,7 @@ def flow_pairs(
 ) -> None:
     """Keep what flowed: write the bonds' new rest lengths, and drop those that broke.
 
-    Lengths are those at the final velocities; for the volume the last linearisation's will do.
+    Lengths are those at the final velocities; volume and stress those last linearised at.
     """
     i = awake_particle(awake, wp.tid())
     if i < 0:
@@ -261,11 +298,12 @@ def flow_pairs(
             j = pairs.other[slot]
             law = pair_laws[material[i] * clay.material_count + material[j]]
             pressed = pairs.compression[i] + pairs.compression[j] > 0.0
-            stretch = pairs.mean_stretch[i] + pairs.mean_stretch[j]
+            dilation = 0.5 * (pairs.dilation[i] + pairs.dilation[j])
+            share = 0.5 * (pairs.share[i] + pairs.share[j])
             closing = velocity[j] - velocity[i]
             way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
             apart = wp.length(way)
-            rest = flow_bond(clay, law, rest, apart, stretch, pressed).rest_length
+            rest = flow_bond(clay, law, rest, apart, dilation, share, pressed).rest_length
             if wp.max(apart, rest) > clay.break_length:
                 rest = 0.0
             pairs.rest_length[slot] = rest

@@ -9,7 +9,7 @@ pair of a row have a direction of zero, so that they add nothing.
 import warp as wp
 
 from .awake import Awake
-from .bond_law import Body, Clay, PairLaw
+from .bond_law import FORGETTING, SOFTEST, Body, Clay, PairLaw
 from .pair_rows import PairRows, lay_row, measure_row, sort_row
 from .vector_units import BLOCK, OPTIONS, over_block
 
@@ -30,78 +30,111 @@ _ROW = """
     float* __restrict__ slope = pairs.slope.data + row;
 """
 
-# How a particle's volume is summed up while its pairs are measured.
+# How a particle's volume and stress are summed up while its pairs are measured, and
+# `bond_law.flow_share`.
 _MEASURE_SETUP = """
     const float* __restrict__ v = (const float*)velocity.data;
     const float dt = clay.time_step, inverse_radius = 1.f / clay.kernel_radius;
+    const float area = clay.spacing * clay.spacing;
+    // `bond_law.flow_rate`
+    auto flow_rate = [](float stiff, float consistency, float index, float excess) {
+        float rate = excess / (stiff + consistency);
+        if (index != 1.f && consistency > 0.f) {
+            const float slow = __builtin_powf(excess / consistency, 1.f / index);
+            rate = excess / stiff < slow ? excess / stiff : slow;
+            if (index < 1.f) rate *= __builtin_powf(2.f, -1.f / index);
+            for (int k = 0; k < 4; k++) {
+                const float drag = consistency * __builtin_powf(rate, index);
+                rate += (excess - stiff * rate - drag) / (stiff + index * drag / rate);
+            }
+        }
+        return rate;
+    };
 """
 _MEASURE = """
     const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
-    f8 density = zero, stretch = zero, bonds = zero;
-    auto measure = [&](int e, i8 live, f8 x, f8 y, f8 z) __attribute__((always_inline)) {
+    f8 density = zero, lengths = zero;
+    f8 xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
+    auto measure = [&](int e, i8 live, f8 x, f8 y, f8 z, f8 before) __attribute__((always_inline)) {
         f8 wx, wy, wz;
         pick3(v, other + e, wx, wy, wz);
-        x += (wx - vx) * dt;
-        y += (wy - vy) * dt;
-        z += (wz - vz) * dt;
-        const f8 apart = root(x * x + y * y + z * z);
+        wx = x * before + (wx - vx) * dt;
+        wy = y * before + (wy - vy) * dt;
+        wz = z * before + (wz - vz) * dt;
+        const f8 apart = root(wx * wx + wy * wy + wz * wz);
         const f8 rest = load(rests + e);
         const i8 bonded = live & (rest > 0.f);
         f8 t = most(1.f - apart * inverse_radius, zero);
         t = live ? t : zero;
         density += t * t * t;
-        stretch += bonded ? apart - rest : zero;
-        bonds += bonded ? (f8)(1.f) : zero;
+        lengths += bonded ? rest * rest : zero;
+        const f8 w = bonded ? (apart - rest) * apart : zero;
+        xx += x * x * w;
+        xy += x * y * w;
+        xz += x * z * w;
+        yy += y * y * w;
+        yz += y * z * w;
+        zz += z * z * w;
         store(next + e, apart);
     };
     auto keep_measures = [&]() __attribute__((always_inline)) {
-        const float bond_count = sum(bonds);
         const float dense = (1.f + sum(density)) * clay.inverse_rest_sum - 1.f;
-        pairs.mean_stretch.data[i] = sum(stretch) / (bond_count > 1.f ? bond_count : 1.f);
+        const float square = sum(lengths);
+        const float sxx = sum(xx), syy = sum(yy), szz = sum(zz);
+        const float sxy = sum(xy), sxz = sum(xz), syz = sum(yz), trace = sxx + syy + szz;
+        const float least_square = 1e-12f * area;
         pairs.compression.data[i] = dense > 0.f ? dense : 0.f;
+        pairs.dilation.data[i] = trace / (square > least_square ? square : least_square);
+        const auto& body = bodies.data[material.data[i]];
+        const float mean = trace * (1.f / 3.f);
+        const float dx = sxx - mean, dy = syy - mean, dz = szz - mean;
+        const float norm = 0.5f * (dx * dx + dy * dy + dz * dz) + sxy * sxy + sxz * sxz + syz * syz;
+        const float stress = 0.5f * body.shear_modulus / area * __builtin_sqrtf(norm);
+        const float excess = stress - body.yield_stress;
+        float share = 0.f;
+        if (excess > 0.f) {
+            const float stiff = body.shear_modulus * square / (30.f * area) * dt;
+            share = stiff * flow_rate(stiff, body.consistency, body.flow_index, excess) / stress;
+        }
+        pairs.share.data[i] = share;
     };
 """
 
 # `bond_law.flow_bond`, eight bonds at a time.
 _LAW_SETUP = """
     const bool uniform = clay.material_count == 1;
-    const float volume_scale = 0.5f / clay.spacing;
+    const float* __restrict__ dilations = pairs.dilation.data;
+    const float* __restrict__ shares = pairs.share.data;
+    const float* __restrict__ compressions = pairs.compression.data;
     f8 law_stiffness = (f8)(pair_laws.data[0].stiffness);
-    f8 law_yield = (f8)(pair_laws.data[0].yield_stretch);
     f8 law_tension = (f8)(pair_laws.data[0].tension_stretch);
-    f8 law_fraction = (f8)(pair_laws.data[0].flow_fraction);
+    f8 law_draw = (f8)(pair_laws.data[0].draw);
     auto take_laws = [&](int i, const int* other) __attribute__((always_inline)) {
         const auto* laws = pair_laws.data + (long long)material.data[i] * clay.material_count;
         for (int l = 0; l < 8; l++) {
             const auto& law = laws[material.data[other[l]]];
             law_stiffness[l] = law.stiffness;
-            law_yield[l] = law.yield_stretch;
             law_tension[l] = law.tension_stretch;
-            law_fraction[l] = law.flow_fraction;
+            law_draw[l] = law.draw;
         }
     };
-    auto flow_bond = [&](f8 rest, f8 apart, f8 stretch_sum, i8 pressed, f8& softening)
+    auto flow_bond = [&](f8 rest, f8 apart, f8 dilation, f8 share, i8 pressed, f8& softening)
         __attribute__((always_inline)) {
         const f8 stretch = apart - rest;
-        const f8 volume_stretch = stretch_sum * rest * volume_scale;
-        const f8 shear_stretch = stretch - volume_stretch;
-        const f8 excess = size(shear_stretch) - law_yield;
-        const i8 yields = excess > 0.f;
-        f8 flow = __builtin_elementwise_copysign(excess, shear_stretch) * law_fraction;
+        const f8 volume_stretch = dilation * rest;
+        f8 flow = share * (stretch - volume_stretch);
         const i8 forgets = (volume_stretch < 0.f) | pressed;
-        flow += forgets ? volume_stretch * clay.forget_fraction : zero;
-        flow = yields ? flow : zero;
+        flow += forgets ? volume_stretch * least(share * forgetting, (f8)(1.f)) : zero;
         const f8 over = stretch - flow - law_tension;
         const i8 draws = over > 0.f;
-        flow += draws ? over * law_fraction : zero;
-        const i8 sheared = size(shear_stretch) > size(stretch);
-        const f8 whole = sheared ? shear_stretch : stretch;
-        const f8 secant = size(whole - flow) / most(size(whole), (f8)(1e-12f));
-        softening = least(most(secant, 1.f - law_fraction), (f8)(1.f));
-        softening = (yields | draws) ? softening : (f8)(1.f);
+        flow += draws ? over * law_draw : zero;
+        softening = 1.f - share;
+        const f8 drawn = 1.f - law_draw * over / (draws ? stretch : (f8)(1.f));
+        softening = draws ? least(softening, drawn) : softening;
+        softening = most(softening, (f8)(softest));
         return most(rest + flow, (f8)(clay.shortest_length));
     };
-"""
+""".replace("forgetting", f"{FORGETTING}f").replace("softest", f"{SOFTEST}f")
 
 
 @wp.func_native(
@@ -137,11 +170,14 @@ _LAW_SETUP = """
         const f8 apart = root(qx * qx + qy * qy + qz * qz);
         found |= live & ((apart <= floor) | (load(rests + e) <= 0.f));
         const f8 inverse = live ? 1.f / most(apart, (f8)(floor)) : zero;
-        store(nx + e, qx * inverse);
-        store(ny + e, qy * inverse);
-        store(nz + e, qz * inverse);
+        qx *= inverse;
+        qy *= inverse;
+        qz *= inverse;
+        store(nx + e, qx);
+        store(ny + e, qy);
+        store(nz + e, qz);
         store(distance + e, apart);
-        measure(e, live, qx, qy, qz);
+        measure(e, live, qx, qy, qz, apart);
     }
     keep_measures();
     const int leave = __builtin_reduce_or(found) != 0;
@@ -155,6 +191,8 @@ def lay_block(  # type: ignore[empty-body]
     block: int,
     awake: Awake,
     clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
@@ -166,6 +204,8 @@ def lay_block(  # type: ignore[empty-body]
 def lay_pairs(
     awake: Awake,
     clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
@@ -173,13 +213,13 @@ def lay_pairs(
 ) -> None:
     """`pair_rows.lay_pairs`, which itself takes rows that change and coincident particles."""
     block = wp.tid()
-    if lay_block(block, awake, clay, position, velocity, pairs, left) > 0:
+    if lay_block(block, awake, clay, bodies, material, position, velocity, pairs, left) > 0:
         for thread in range(block * BLOCK, wp.min((block + 1) * BLOCK, awake.count[0])):
             i = awake.index[thread]
             if left[i] > 0:
                 sort_row(clay, position, pairs, i)
                 lay_row(clay, position, pairs, i)
-                measure_row(clay, velocity, pairs, i)
+                measure_row(clay, bodies, material, velocity, pairs, i)
 
 
 @wp.func_native(
@@ -189,31 +229,41 @@ def lay_pairs(
         + _MEASURE
         + """
     for (int e = 0; e < end; e += 8) {
-        const f8 apart = load(distance + e);
         const i8 live = lanes + e < acting;
-        measure(e, live, load(nx + e) * apart, load(ny + e) * apart, load(nz + e) * apart);
+        measure(e, live, load(nx + e), load(ny + e), load(nz + e), load(distance + e));
     }
     keep_measures();
 """,
     )
 )
 def measure_block(
-    block: int, awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows
+    block: int,
+    awake: Awake,
+    clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
 ) -> None: ...
 
 
 @wp.kernel(enable_backward=False)
-def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: PairRows) -> None:
+def measure_pairs(
+    awake: Awake,
+    clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> None:
     """`pair_rows.measure_pairs`."""
-    measure_block(wp.tid(), awake, clay, velocity, pairs)
+    measure_block(wp.tid(), awake, clay, bodies, material, velocity, pairs)
 
 
 @wp.func_native(
     over_block(
         _LAW_SETUP
         + """
-    const float* __restrict__ stretches = pairs.mean_stretch.data;
-    const float* __restrict__ compressions = pairs.compression.data;
     const float dt = clay.time_step, square = dt * dt;
     const float inverse_radius = 1.f / clay.kernel_radius;
     const float slope_scale = 3.f * clay.inverse_rest_sum * inverse_radius;
@@ -221,7 +271,8 @@ def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: 
         _ROW
         + """
     const auto& body = bodies.data[material.data[i]];
-    const float own_stretch = stretches[i], own_compression = compressions[i];
+    const float own_compression = compressions[i];
+    const float own_dilation = 0.5f * dilations[i], own_share = 0.5f * shares[i];
     const float own_pressure = body.pressure_stiffness * own_compression;
     f8 other_stiffness = (f8)(body.pressure_stiffness);
     f8 fx = zero, fy = zero, fz = zero, sx = zero, sy = zero, sz = zero;
@@ -238,11 +289,12 @@ def measure_pairs(awake: Awake, clay: Clay, velocity: wp.array[wp.vec3], pairs: 
         const f8 t = most(1.f - apart * inverse_radius, zero);
         const f8 a = live ? t * t * slope_scale : zero;
         const f8 compression = pick(compressions, other + e);
-        const f8 stretch_sum = own_stretch + pick(stretches, other + e);
+        const f8 dilation = own_dilation + 0.5f * pick(dilations, other + e);
+        const f8 share = own_share + 0.5f * pick(shares, other + e);
         const i8 bonded = live & (rest > 0.f);
         f8 softening;
         const i8 pressed = own_compression + compression > 0.f;
-        const f8 flowed = flow_bond(rest, apart, stretch_sum, pressed, softening);
+        const f8 flowed = flow_bond(rest, apart, dilation, share, pressed, softening);
         f8 pull = -(own_pressure + other_stiffness * compression) * a;
         pull += bonded ? law_stiffness * (apart - flowed) : zero;
         const f8 k = bonded ? law_stiffness * softening * square : zero;
@@ -330,8 +382,6 @@ def sum_forces(
     over_block(
         _LAW_SETUP
         + """
-    const float* __restrict__ stretches = pairs.mean_stretch.data;
-    const float* __restrict__ compressions = pairs.compression.data;
     const float* __restrict__ v = (const float*)velocity.data;
     const float dt = clay.time_step;
 """,
@@ -342,7 +392,8 @@ def sum_forces(
         if (!uniform) take_laws(i, other + e);
         const f8 rest = load(rests + e), before = load(distance + e);
         const f8 compression = pick(compressions, other + e);
-        const f8 stretch_sum = stretches[i] + pick(stretches, other + e);
+        const f8 dilation = 0.5f * (dilations[i] + pick(dilations, other + e));
+        const f8 share = 0.5f * (shares[i] + pick(shares, other + e));
         f8 x, y, z, softening;
         pick3(v, other + e, x, y, z);
         x = load(nx + e) * before + (x - vx) * dt;
@@ -350,7 +401,7 @@ def sum_forces(
         z = load(nz + e) * before + (z - vz) * dt;
         const f8 apart = root(x * x + y * y + z * z);
         const i8 pressed = compressions[i] + compression > 0.f;
-        f8 flowed = flow_bond(rest, apart, stretch_sum, pressed, softening);
+        f8 flowed = flow_bond(rest, apart, dilation, share, pressed, softening);
         flowed = most(apart, flowed) > clay.break_length ? zero : flowed;
         const i8 bonded = (lanes + e < acting) & (rest > 0.f);
         store(rests + e, bonded ? flowed : rest);

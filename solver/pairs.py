@@ -43,7 +43,7 @@ class Pairs:
         rows = PairRows()
         for name in ("first", "room", "listed", "acting"):
             setattr(rows, name, wp.zeros(count, dtype=int, device=device))
-        for name in ("mean_stretch", "compression"):
+        for name in ("dilation", "share", "compression"):
             setattr(rows, name, wp.zeros(count, dtype=float, device=device))
         rows.resting = particles.resting
         self.rows = rows
@@ -79,17 +79,33 @@ class Pairs:
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
         self.generation += 1
 
-    def gather(self, clay: Clay) -> None:
+    def gather(self, clay: Clay, bodies: wp.array) -> None:
         """Collect the pairs that act from here, and measure them at the present velocities."""
         particles = self.particles
         # The CPU's pass needs a list of the rows that it leaves to the plain one.
         left = [self._left] if particles.device.is_cpu else []
-        motion = [particles.position, particles.velocity]
-        self._launch(self._passes.lay_pairs, clay, *motion, self.rows, *left)
+        self._launch(
+            self._passes.lay_pairs,
+            clay,
+            bodies,
+            particles.material,
+            particles.position,
+            particles.velocity,
+            self.rows,
+            *left,
+        )
 
-    def measure(self, clay: Clay) -> None:
-        """Find lengths and volumes at the end of a substep with the present velocities."""
-        self._launch(self._passes.measure_pairs, clay, self.particles.velocity, self.rows)
+    def measure(self, clay: Clay, bodies: wp.array) -> None:
+        """Find lengths, volumes and stresses at the end of a substep with these velocities."""
+        particles = self.particles
+        self._launch(
+            self._passes.measure_pairs,
+            clay,
+            bodies,
+            particles.material,
+            particles.velocity,
+            self.rows,
+        )
 
     def sum_forces(
         self,

@@ -29,6 +29,7 @@ SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
 MOST_LAWS = 64
 """Lengths of substep whose laws are kept."""
+_BY_PARTICLE = ("dilation", "share", "compression")
 NEWTON_STEPS = 2
 """Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
 
@@ -73,7 +74,9 @@ class PlasticBonds:
         own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
         self.own_block = wp.array(own, dtype=wp.mat33, device=device)
         """Mass and contacts of each particle [kg]."""
-        self.bodies = wp.array(make_bodies(particles.materials, spacing), dtype=Body, device=device)
+        self.bodies = wp.array(
+            make_bodies(particles.materials, settings, spacing), dtype=Body, device=device
+        )
         self.pairs = Pairs(particles)
         # Bonds stay listed however long they are; only those still to form must be found.
         self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
@@ -152,7 +155,7 @@ class PlasticBonds:
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
-        self.pairs.gather(self.clay)
+        self.pairs.gather(self.clay, self.bodies)
         self._linearize(substep)
         self.coarse.assemble(self.own_block, self.pairs)
 
@@ -160,7 +163,7 @@ class PlasticBonds:
         """Newton's method, and what follows from the velocities it finds."""
         for newton in range(NEWTON_STEPS):
             if newton > 0:
-                self.pairs.measure(self.clay)
+                self.pairs.measure(self.clay, self.bodies)
                 self._linearize(substep)
             self.gradients.solve(
                 self.clay, self.bodies, self.pairs, self.diagonal, self.own_block, self.coarse
@@ -192,13 +195,14 @@ class PlasticBonds:
     def snapshot(self) -> dict[str, NDArray]:
         """Bonds, and what they have been through."""
         return {
-            "compression": self.compression().copy(),
+            **{name: getattr(self.pairs.rows, name).numpy().copy() for name in _BY_PARTICLE},
             **self.neighbors.snapshot(),
             **self.coarse.snapshot(),
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
-        self.pairs.rows.compression.assign(state["compression"])
+        for name in _BY_PARTICLE:
+            getattr(self.pairs.rows, name).assign(state[name])
         self.neighbors.restore(state)
         self.coarse.restore(state)

@@ -40,8 +40,9 @@ def pressed() -> PlasticBonds:
     points = block((16, 9, 9), SPACING)
     points += np.random.default_rng(1).uniform(-0.1, 0.1, points.shape) * SPACING
     left = points[:, 0] < 0
+    thin = Material(yield_stress=2e3, density=1200.0, shear_modulus=5e4, flow_index=0.5)
     scene.add_clay(points[left], Material())
-    scene.add_clay(points[~left], Material(yield_stress=2e3, density=1200.0, shear_modulus=5e4))
+    scene.add_clay(points[~left], thin)
     scene.add_plane()
     sphere = ball(0.01)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
@@ -107,28 +108,29 @@ LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next"
 def test_pairs_are_laid_the_same(pressed: PlasticBonds):
     """Find the same pairs, directions, lengths and volumes."""
     rows, body = pressed.pairs.rows, pressed.particles
-    inputs = [pressed.clay, body.position, body.velocity, rows]
+    law = [pressed.clay, pressed.bodies, body.material]
+    inputs = [*law, body.position, body.velocity, rows]
     compare(
         pressed,
         lambda: body.launch(pair_rows.lay_pairs, *inputs),
         lambda: body.launch_blocks(pair_rows_cpu.lay_pairs, *inputs, pressed.pairs._left),
         [rows.other, rows.rest_length, rows.acting],
         {name: acting(pressed, name) for name in (*LAID, "rest_length")}
-        | per_particle(rows.mean_stretch, rows.compression, rows.acting),
+        | per_particle(rows.dilation, rows.share, rows.compression, rows.acting),
     )
 
 
 def test_pairs_are_measured_the_same(pressed: PlasticBonds):
     """Measure the same lengths, stretches and compressions."""
     rows, body = pressed.pairs.rows, pressed.particles
-    inputs = [pressed.clay, body.velocity, rows]
+    inputs = [pressed.clay, pressed.bodies, body.material, body.velocity, rows]
     compare(
         pressed,
         lambda: body.launch(pair_rows.measure_pairs, *inputs),
         lambda: body.launch_blocks(pair_rows_cpu.measure_pairs, *inputs),
         [],
         {"distance_next": acting(pressed, "distance_next")}
-        | per_particle(rows.mean_stretch, rows.compression),
+        | per_particle(rows.dilation, rows.share, rows.compression),
     )
 
 
