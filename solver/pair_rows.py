@@ -106,12 +106,15 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
     while slot < end:
         rest = pairs.rest_length[slot]
         if rest <= 0.0:
+            # A free pair presses until it is far apart: one that came and went at the reach of
+            # forming bonds would jitter.
             apart = wp.length(position[pairs.other[slot]] - x)
-            rest = wp.where(apart < clay.form_reach, rest - 1.0, 0.0)
-            if clay.bonds == 0:
-                rest = wp.max(rest, -1.0)
-            elif rest < -clay.dwell:
-                rest = wp.max(apart, clay.shortest_length)
+            if apart < clay.form_reach and clay.bonds == 1:
+                rest -= 1.0
+                if rest < -clay.dwell:
+                    rest = wp.max(apart, clay.shortest_length)
+            else:
+                rest = wp.where(apart < clay.break_length, -1.0, 0.0)
             pairs.rest_length[slot] = rest
         if rest == 0.0:
             end -= 1

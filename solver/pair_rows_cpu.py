@@ -143,6 +143,7 @@ _LAW_SETUP = """
         + """
     const float* __restrict__ x = (const float*)position.data;
     const float floor = 1e-6f * clay.spacing, reach = clay.form_reach * clay.form_reach;
+    const i8 forms = (i8)(clay.bonds ? -1 : 0);
     int left_count = 0;
 """,
         _ROW
@@ -168,7 +169,10 @@ _LAW_SETUP = """
         qz -= pz;
         const i8 live = lanes + e < acting;
         const f8 apart = root(qx * qx + qy * qy + qz * qz);
-        found |= live & ((apart <= floor) | (load(rests + e) <= 0.f));
+        const f8 rest = load(rests + e);
+        const i8 leaves = (apart > clay.break_length) | (rest == 0.f);
+        const i8 changes = (rest <= 0.f) & (leaves | ((apart < clay.form_reach) & forms));
+        found |= live & (changes | (apart <= floor));
         const f8 inverse = live ? 1.f / most(apart, (f8)(floor)) : zero;
         qx *= inverse;
         qy *= inverse;
