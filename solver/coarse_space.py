@@ -29,11 +29,11 @@ _REBUILDS = 4
 
 
 @wp.func
-def add_to_modes(sums: wp.array[float], cell: int, arm: wp.vec3, impulse: wp.vec3) -> None:
+def add_to_modes(sums: wp.array[wp.float64], cell: int, arm: wp.vec3, impulse: wp.vec3) -> None:
     """Sum an impulse onto a cell's modes."""
     row = rigid_row(arm, impulse)
     for p in range(MODES):
-        wp.atomic_add(sums, MODES * cell + p, row[p])
+        wp.atomic_add(sums, MODES * cell + p, wp.float64(row[p]))
 
 
 @wp.func
@@ -81,7 +81,7 @@ def number_cells(awake: Awake, number: wp.array[int], cell: wp.array[int]) -> No
 def apply_inverse(
     size: wp.array[int],
     inverse: wp.array2d[float],
-    sums: wp.array[float],
+    sums: wp.array[wp.float64],
     modes: wp.array[float],
     energy: wp.array[wp.float64],
     place: int,
@@ -92,9 +92,9 @@ def apply_inverse(
         return
     total = float(0.0)
     for column in range(size[0]):
-        total += inverse[row, column] * sums[column]
+        total += inverse[row, column] * float(sums[column])
     modes[row] = total
-    wp.atomic_add(energy, place, wp.float64(total * sums[row]))
+    wp.atomic_add(energy, place, wp.float64(total) * sums[row])
 
 
 class CoarseSpace:
@@ -127,7 +127,7 @@ class CoarseSpace:
             self.factor = coarse_space_cpu.Factor(size, self.device)
         else:
             self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
-        self.sums = wp.zeros(size, dtype=float, device=self.device)
+        self.sums = wp.zeros(size, dtype=wp.float64, device=self.device)
         self.modes = wp.zeros(size, dtype=float, device=self.device)
 
     def place_cells(self, rebuild_count: int) -> None:

@@ -35,7 +35,9 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    solve.inverse[i] = wp.inverse(diagonal[i])
+    # In units of its size: the determinant of a small particle's masses would vanish in float.
+    scale = 1.0 / wp.trace(diagonal[i])
+    solve.inverse[i] = wp.inverse(diagonal[i] * scale) * scale
     solve.change[i] = wp.vec3()
     precondition(solve, i, solve.residual[i], 0)
 

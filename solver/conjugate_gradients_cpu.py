@@ -36,13 +36,13 @@ _CELLS = """
 # Neighbours mostly share a cell: its sums are kept at hand until another comes.
 _PRECONDITION = """
     double size_sum = 0.0;
-    float sums[6] = {0.f, 0.f, 0.f, 0.f, 0.f, 0.f};
+    double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
     int at_hand = -1;
     auto put_down = [&]() __attribute__((always_inline)) {
         if (at_hand < 0) return;
         for (int p = 0; p < 6; p++) {
             solve.sums.data[6 * at_hand + p] += sums[p];
-            sums[p] = 0.f;
+            sums[p] = 0.0;
         }
     };
     auto precondition = [&](int i, float x, float y, float z) __attribute__((always_inline)) {
@@ -77,13 +77,16 @@ _PRECONDITION = """
     over_block(
         _CELLS + _PRECONDITION,
         """
-    const float* a = (const float*)diagonal.data + 9 * (long long)i;
+    const float* block = (const float*)diagonal.data + 9 * (long long)i;
+    const float size = 1.f / (block[0] + block[4] + block[8]);
+    float a[9];
+    for (int k = 0; k < 9; k++) a[k] = block[k] * size;
     float* inverse = (float*)solve.inverse.data + 9 * (long long)i;
     const float c0 = a[4] * a[8] - a[5] * a[7];
     const float c1 = a[5] * a[6] - a[3] * a[8];
     const float c2 = a[3] * a[7] - a[4] * a[6];
     const float d = a[0] * c0 + a[1] * c1 + a[2] * c2;
-    const float scale = d != 0.f ? 1.f / d : 0.f;
+    const float scale = d != 0.f ? size / d : 0.f;
     inverse[0] = c0 * scale;
     inverse[1] = (a[2] * a[7] - a[1] * a[8]) * scale;
     inverse[2] = (a[1] * a[5] - a[2] * a[4]) * scale;

@@ -56,6 +56,10 @@ class Contacts:
             ("friction_stiffness", float),
             ("collider_before", int),
             ("anchor_before", wp.vec3),
+            ("slide", float),
+            ("slide_before", float),
+            ("push", float),
+            ("push_before", float),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
@@ -128,12 +132,18 @@ class Contacts:
         )
 
     def press(
-        self, common: ContactPass, residual: wp.array, diagonal: wp.array, own_block: wp.array
+        self,
+        common: ContactPass,
+        change: wp.array,
+        residual: wp.array,
+        diagonal: wp.array,
+        own_block: wp.array,
     ) -> None:
         """Add contact impulses and their tangent to the system of a substep.
 
         Args:
             common: The substep.
+            change: What the last solve changed of the velocities [m/s].
             residual: Impulse still missing at each particle [N s], added to.
             diagonal: Each particle's block of the tangent [kg], added to.
             own_block: Mass and contacts alone [kg], written where there may be contacts.
@@ -146,6 +156,7 @@ class Contacts:
             particles.material,
             particles.mass,
             particles.velocity,
+            change,
             self.slots,
             residual,
             diagonal,
@@ -191,6 +202,8 @@ class Contacts:
             "contact_anchor": self.slots.anchor.numpy().copy(),
             "contact_impulse": self.slots.impulse.numpy().copy(),
             "contact_resting_force": self.resting_force.numpy().copy(),
+            "contact_slide": self.slots.slide.numpy().copy(),
+            "contact_push": self.slots.push.numpy().copy(),
             **(self.meshes.snapshot() if self.meshes else {}),
         }
 
@@ -203,6 +216,8 @@ class Contacts:
         self.slots.anchor.assign(state["contact_anchor"])
         self.slots.impulse.assign(state["contact_impulse"])
         self.resting_force.assign(state["contact_resting_force"])
+        self.slots.slide.assign(state["contact_slide"])
+        self.slots.push.assign(state["contact_push"])
         if self.meshes:
             self.meshes.restore(state)
 

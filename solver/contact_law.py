@@ -20,6 +20,8 @@ MARGIN = 0.25
 """Contacts are found this far off the surface, in spacings: a substep may close the gap."""
 CONTACT_STIFFNESS = 2.0
 """Stiffness of a contact over that of the clay around the particle."""
+UNKNOWN_SLIDE = 1.0e9
+"""The slip [m] that a new contact may assume."""
 
 
 @wp.struct
@@ -56,6 +58,13 @@ class ContactSlots:
     count_before: wp.array[int]
     collider_before: wp.array2d[int]
     anchor_before: wp.array2d[wp.vec3]
+    slide: wp.array2d[float]
+    """Slip that the first linearisation assumes at most [m]: that of the substep before. What
+    rides on a turning wheel has a velocity of the substep before, which would look like slip."""
+    slide_before: wp.array2d[float]
+    push: wp.array2d[float]
+    """Normal impulse that the last solve applied [N s], which limits friction."""
+    push_before: wp.array2d[float]
 
 
 @wp.func
@@ -66,6 +75,7 @@ def add_contact(
     normal: wp.vec3,
     gap: float,
     surface_motion: wp.vec3,
+    turn: wp.quat,
 ) -> None:
     """Give a particle a contact, with the anchor that it had on this collider before."""
     used = slots.count[i]
@@ -76,10 +86,17 @@ def add_contact(
         slots.surface_motion[i, used] = surface_motion
         slots.impulse[i, used] = wp.vec3()
         anchor = wp.vec3()
+        slide = float(UNKNOWN_SLIDE)
+        push = float(0.0)
         for k in range(slots.count_before[i]):
             if slots.collider_before[i, k] == collider:
-                anchor = slots.anchor_before[i, k]
+                anchor = wp.quat_rotate(turn, slots.anchor_before[i, k])
+                slide = slots.slide_before[i, k]
+                push = slots.push_before[i, k]
         slots.anchor[i, used] = anchor - normal * wp.dot(anchor, normal)
+        slots.slide[i, used] = slide
+        slots.push[i, used] = push
+        slots.normal_stiffness[i, used] = 0.0
         slots.count[i] = used + 1
 
 
@@ -144,6 +161,8 @@ def find_contacts(
     for k in range(slots.count[i]):
         slots.collider_before[i, k] = slots.collider[i, k]
         slots.anchor_before[i, k] = slots.anchor[i, k]
+        slots.slide_before[i, k] = slots.slide[i, k]
+        slots.push_before[i, k] = slots.push[i, k]
     slots.count_before[i] = slots.count[i]
     slots.count[i] = 0
     x = position[i]
@@ -186,13 +205,16 @@ def find_contacts(
                 before, nearest - drift
             )
             gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
-            add_contact(slots, i, plane_count + which, normal, gap, surface_motion)
+            turn = wp.transform_get_rotation(after) * wp.quat_inverse(
+                wp.transform_get_rotation(before)
+            )
+            add_contact(slots, i, plane_count + which, normal, gap, surface_motion, turn)
     for plane in range(plane_count):
         normal = around.plane_normal[plane]
         gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
         closing = wp.max(-wp.dot(motion, normal), 0.0)
         if gap - closing < common.margin:
-            add_contact(slots, i, plane, normal, gap, wp.vec3())
+            add_contact(slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity())
 
 
 @wp.kernel(enable_backward=False)
@@ -217,6 +239,7 @@ def press_contacts(
     material: wp.array[int],
     mass: wp.array[float],
     velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
     slots: ContactSlots,
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
@@ -226,7 +249,8 @@ def press_contacts(
     """Add contact impulses and their tangent to the system: the one contact law.
 
     A contact pushes with a stiffness times its penetration, tangentially with that stiffness
-    times the slip of its anchor, but at most μ times the normal push.
+    times the slip of its anchor, but at most μ times the normal impulse that the last solve
+    applied: the penetration of a velocity not yet solved for would promise a far larger one.
     """
     dt = common.time_step
     block = wp.identity(n=3, dtype=float) * mass[material[i]]
@@ -239,6 +263,9 @@ def press_contacts(
             n = slots.normal[i, k]
             relative = velocity[i] * dt - slots.surface_motion[i, k]
             gap = slots.gap[i, k]
+            if slots.normal_stiffness[i, k] > 0.0:
+                solved = wp.dot(change[i], n) * slots.normal_stiffness[i, k]
+                slots.push[i, k] = wp.max(wp.dot(slots.impulse[i, k], n) - solved, 0.0)
             allowed = wp.min(gap + DEPENETRATION_SPEED * dt, 0.0)
             depth = allowed - gap - wp.dot(relative, n)
             impulse = wp.vec3()
@@ -248,8 +275,9 @@ def press_contacts(
                 normal_stiffness = stiffness
                 normal_push = stiffness * depth / dt
                 slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
-                slip_length = wp.length(slip)
-                limit = friction[material[i], slots.collider[i, k]] * normal_push
+                slip_length = wp.min(wp.length(slip), slots.slide[i, k])
+                slots.slide[i, k] = UNKNOWN_SLIDE
+                limit = friction[material[i], slots.collider[i, k]] * slots.push[i, k]
                 friction_stiffness = wp.min(stiffness, limit * dt / wp.max(slip_length, 1.0e-12))
                 impulse = n * normal_push - slip * (friction_stiffness / dt)
                 contacts += (
@@ -274,6 +302,7 @@ def press_all_contacts(
     material: wp.array[int],
     mass: wp.array[float],
     velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
     slots: ContactSlots,
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
@@ -288,6 +317,7 @@ def press_all_contacts(
             material,
             mass,
             velocity,
+            change,
             slots,
             residual,
             diagonal,
@@ -332,8 +362,12 @@ def settle_contacts(
             limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
             most = limit * dt / normal_stiffness
             slots.anchor[i, k] = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+            slots.slide[i, k] = slip_length
+            slots.push[i, k] = wp.max(wp.dot(applied, n), 0.0)
         else:
             slots.anchor[i, k] = wp.vec3()
+            slots.slide[i, k] = UNKNOWN_SLIDE
+            slots.push[i, k] = 0.0
         wp.atomic_max(deepest, 0, -slots.gap[i, k] - wp.dot(relative, n))
 
 

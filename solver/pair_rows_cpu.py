@@ -11,7 +11,7 @@ import warp as wp
 from .awake import Awake
 from .bond_law import FORGETTING, SOFTEST, Body, Clay, PairLaw
 from .pair_rows import PairRows, lay_row, measure_row, sort_row
-from .vector_units import BLOCK, OPTIONS, over_block
+from .vector_units import BLOCK, OPTIONS, for_one, over_block
 
 wp.set_module_options(OPTIONS)
 
@@ -137,21 +137,21 @@ _LAW_SETUP = """
 """.replace("forgetting", f"{FORGETTING}f").replace("softest", f"{SOFTEST}f")
 
 
-@wp.func_native(
-    over_block(
-        _MEASURE_SETUP
-        + """
+_LAY_SETUP = (
+    _MEASURE_SETUP
+    + """
     const float* __restrict__ x = (const float*)position.data;
     const float floor = 1e-6f * clay.spacing, reach = clay.form_reach * clay.form_reach;
     const i8 forms = (i8)(clay.bonds ? -1 : 0);
-    int left_count = 0;
-""",
-        _ROW
-        + _MEASURE
-        + """
+"""
+)
+_LAY = (
+    _ROW
+    + _MEASURE
+    + """
     const float px = x[3 * i], py = x[3 * i + 1], pz = x[3 * i + 2];
     const int listed = pairs.listed.data[i];
-    i8 found = (i8)(0);
+    i8 found = (i8)(0), coincident = (i8)(0);
     for (int e = acting & ~7; e < listed; e += 8) {
         f8 qx, qy, qz;
         pick3(x, other + e, qx, qy, qz);
@@ -172,7 +172,8 @@ _LAW_SETUP = """
         const f8 rest = load(rests + e);
         const i8 leaves = (apart > clay.break_length) | (rest == 0.f);
         const i8 changes = (rest <= 0.f) & (leaves | ((apart < clay.form_reach) & forms));
-        found |= live & (changes | (apart <= floor));
+        found |= live & changes;
+        coincident |= live & (apart <= floor);
         const f8 inverse = live ? 1.f / most(apart, (f8)(floor)) : zero;
         qx *= inverse;
         qy *= inverse;
@@ -184,7 +185,16 @@ _LAW_SETUP = """
         measure(e, live, qx, qy, qz, apart);
     }
     keep_measures();
-    const int leave = __builtin_reduce_or(found) != 0;
+"""
+)
+
+
+@wp.func_native(
+    over_block(
+        _LAY_SETUP + "int left_count = 0;",
+        _LAY
+        + """
+    const int leave = __builtin_reduce_or(found | coincident) != 0;
     left.data[i] = leave;
     left_count += leave;
 """,
@@ -204,6 +214,20 @@ def lay_block(  # type: ignore[empty-body]
 ) -> int: ...
 
 
+@wp.func_native(
+    for_one(_LAY_SETUP, _LAY, "return __builtin_reduce_or(coincident) != 0;"),
+)
+def lay_one(  # type: ignore[empty-body]
+    i: int,
+    clay: Clay,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    pairs: PairRows,
+) -> bool: ...
+
+
 @wp.kernel(enable_backward=False)
 def lay_pairs(
     awake: Awake,
@@ -215,15 +239,17 @@ def lay_pairs(
     pairs: PairRows,
     left: wp.array[int],
 ) -> None:
-    """`pair_rows.lay_pairs`, which itself takes rows that change and coincident particles."""
+    """`pair_rows.lay_pairs`, which itself takes coincident particles and rows that change."""
     block = wp.tid()
     if lay_block(block, awake, clay, bodies, material, position, velocity, pairs, left) > 0:
         for thread in range(block * BLOCK, wp.min((block + 1) * BLOCK, awake.count[0])):
             i = awake.index[thread]
             if left[i] > 0:
                 sort_row(clay, position, pairs, i)
-                lay_row(clay, position, pairs, i)
-                measure_row(clay, bodies, material, velocity, pairs, i)
+                # Both ends of a pair must be laid by the same arithmetic, to the last bit.
+                if lay_one(i, clay, bodies, material, position, velocity, pairs):
+                    lay_row(clay, position, pairs, i)
+                    measure_row(clay, bodies, material, velocity, pairs, i)
 
 
 @wp.func_native(

@@ -177,7 +177,7 @@ class PlasticBonds:
         """Residual and tangent of pairs and contacts at the present velocities."""
         residual = self.gradients.residual
         self.pairs.sum_forces(self.clay, self.pair_laws, self.bodies, residual, self.diagonal)
-        self.contacts.press(substep, residual, self.diagonal, self.own_block)
+        self.contacts.press(substep, self.gradients.change, residual, self.diagonal, self.own_block)
 
     def compression(self) -> NDArray[np.float32]:
         """Each particle's density over that at rest, less one, where positive; shape [N]."""

@@ -25,7 +25,7 @@ class Solve:
     position: wp.array[wp.vec3]
     cell: wp.array[int]
     center: wp.array[wp.vec3]
-    sums: wp.array[float]
+    sums: wp.array[wp.float64]
     """The residual restricted to the coarse modes."""
     modes: wp.array[float]
     """Motions of the coarse cells."""

@@ -25,6 +25,9 @@ MOST_SUBSTEPS = 128
 """Fast clay takes at most this many substeps in 1/60 s."""
 SPEED_FLOOR = 1.0
 """Inner forces may always make clay this fast [m/s]; see `Solver._limit_speed`."""
+SPEED_MARGIN = 1.5
+"""How much faster than the fastest was inner forces may make a particle: clay that spins,
+bounces or whips trades speed between its parts, and clamping it would cost momentum."""
 SPEED_MEMORY = 0.5
 """How long the clay may remember the speed it had, to bounce back with it [s]."""
 
@@ -75,7 +78,8 @@ class Solver:
         self._substeps = 0
         self._duration = BASE_STEP
         self._teleported = 0
-        self._speed_before = 0.0
+        initial = np.linalg.norm(scene.initial_velocities(), axis=1)
+        self._speed_before = float(np.max(initial, initial=0.0))
         self._time_step_before = 0.0
         self._colors = scene.colors()
         self._particles = Particles(scene, self.device)
@@ -148,10 +152,13 @@ class Solver:
             collider_speed: Of the fastest collider [m/s].
             duration: Length of the step [s].
         """
-        kept = max(speed, self._speed_before * math.exp(-duration / SPEED_MEMORY))
-        self._speed_before = kept
         fall = 2.0 * float(np.linalg.norm(self.scene.gravity)) * duration
-        self._particles.speed_limit.fill_(max(kept, SPEED_FLOOR, 2.0 * collider_speed) + fall)
+        thrown = max(SPEED_FLOOR, 2.0 * collider_speed)
+        # Only what came from outside raises what is kept, not what inner forces did since.
+        explained = min(speed, max(self._speed_before + fall, thrown))
+        kept = max(explained, self._speed_before * math.exp(-duration / SPEED_MEMORY))
+        self._speed_before = kept
+        self._particles.speed_limit.fill_(max(SPEED_MARGIN * kept, thrown) + fall)
 
     def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
         """Substeps such that no collider near the clay moves more than half a particle's radius.

@@ -80,3 +80,8 @@ def over_block(setup: str, body: str, result: str = "") -> str:
     }}
     {result}
 }}"""
+
+
+def for_one(setup: str, body: str, result: str = "") -> str:
+    """Text of a native function that does the same to the one particle ``i``."""
+    return f"{VECTORS}{setup}{body}{result}}}"

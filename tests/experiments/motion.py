@@ -57,6 +57,10 @@ class Collision:
     """Change of linear momentum over Σ m |v| at the start."""
     spin_change: float
     """Change of angular momentum over Σ m |x × v| at the start."""
+    momentum_change_per_step: float
+    """Largest change of linear momentum in a step, over the same."""
+    spin_change_per_step: float
+    """Largest change of angular momentum in a step, over the same."""
 
 
 def collision(speed: float = 0.5) -> Collision:
@@ -79,10 +83,15 @@ def collision(speed: float = 0.5) -> Collision:
     p = mass * solver.velocities()
     scale = np.linalg.norm(p, axis=1).sum()
     spin_scale = np.linalg.norm(np.cross(solver.positions(), p), axis=1).sum()
+    history = [before]
     for _ in range(30):
         solver.step(1 / 60)
-    after = momenta()
+        history.append(momenta())
+    after = history[-1]
+    jumps = np.linalg.norm(np.diff(np.array(history), axis=0), axis=2).max(0)
     return Collision(
         momentum_change=float(np.linalg.norm(after[0] - before[0]) / scale),
         spin_change=float(np.linalg.norm(after[1] - before[1]) / spin_scale),
+        momentum_change_per_step=float(jumps[0] / scale),
+        spin_change_per_step=float(jumps[1] / spin_scale),
     )

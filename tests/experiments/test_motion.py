@@ -26,7 +26,9 @@ def test_collision_of_different_densities_keeps_momentum():
     """Conserve linear and angular momentum when two blocks meet off-centre."""
     result = motion.collision()
     assert result.momentum_change < 1e-5
+    assert result.momentum_change_per_step < 1e-5
     assert result.spin_change < 1e-4
+    assert result.spin_change_per_step < 1e-4
 
 
 def test_table_stops_a_fall_with_the_right_impulse():

@@ -274,7 +274,7 @@ def test_coarse_solve_is_exact(pressed: PlasticBonds):
     matrix[np.diag_indices(size)] += np.tile(coarse.ridge, size // 6)
     # An impulse on every cell, with a turn that fits the cell's size.
     sums = np.random.default_rng(5).normal(size=size) * np.sqrt(np.diag(matrix))
-    padded = np.zeros(len(coarse.sums), np.float32)
+    padded = np.zeros(len(coarse.sums))
     padded[:size] = sums
     coarse.sums.assign(padded)
     energy = wp.zeros(1, dtype=wp.float64, device="cpu")

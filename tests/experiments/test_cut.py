@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What was pressed together splits again along a knife."""
+
+import pytest
+
+from tactile_clay.tests.experiments.cut import cut
+
+
+def test_a_knife_splits_what_was_pressed_together():
+    """Make one piece of two blocks, and two equal halves of it again that do not hold together."""
+    result = cut()
+    assert result.pieces_before == 1
+    assert result.pieces_after == 2
+    assert result.debris == 0
+    assert result.evenness > 0.9
+    assert result.gap > 0.9 * result.push
+    assert abs(result.pulled_along) < 0.05 * result.push
+
+
+@pytest.mark.xfail(
+    strict=False, reason="bonds reach through a blade of less than .9 spacings: one piece"
+)
+def test_a_thin_knife_splits_too():
+    """Split with a blade a third of a spacing thick."""
+    assert cut(thickness=0.3).pieces_after == 2

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kneading, pressing flat and hanging, against plasticity theory."""
+
+import pytest
+
+from tactile_clay.tests.experiments.compression import compress_cylinder
+from tactile_clay.tests.experiments.shapes import block
+from tactile_clay.tests.experiments.squeeze import Squeeze, squeeze, surface_volume
+from tactile_clay.tests.experiments.thread import hang
+
+
+@pytest.fixture(scope="module")
+def squeezed() -> Squeeze:
+    """Thirty squeezes for all that is asked of them; the report's are a hundred."""
+    return squeeze(30)
+
+
+def test_surface_volume_is_that_of_the_particles():
+    """Find the volume of a cube within 3 %, and the same share of it when stretched."""
+    cube = surface_volume(block(8, 0.005), 0.005)
+    assert cube == pytest.approx(0.04**3, rel=0.03)
+    assert surface_volume(block(8, 0.005) * (1.1, 1.0, 1.0), 0.005) == pytest.approx(
+        1.1 * cube, rel=0.02
+    )
+
+
+def test_squeezes_squeeze_and_nothing_comes_off(squeezed: Squeeze):
+    """Shorten by the depth asked for each time, in one piece."""
+    assert squeezed.shortening > 0.1
+    assert squeezed.pieces == 1
+
+
+def test_clay_is_not_left_compressed(squeezed: Squeeze):
+    """Be compressed by less than 1 % more after than before."""
+    assert abs(squeezed.compression_change) < 0.01
+
+
+@pytest.mark.xfail(
+    strict=False,
+    reason="one-sided density lets the surface layer close up: -10 % after 30 squeezes of 216",
+)
+def test_squeezes_keep_the_volume_inside_the_surface(squeezed: Squeeze):
+    """Keep the volume inside the surface within 1 %."""
+    assert abs(squeezed.surface_change) < 0.01
+
+
+def test_compressed_cylinder_resists_with_its_yield_stress():
+    """Push back with √3 τ_y A between smooth plates, within a fifth."""
+    assert compress_cylinder().ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_sticking_plates_take_more_force():
+    """Push back harder where the plates hold the clay, within 25 % of theory."""
+    result = compress_cylinder(sticking=True)
+    assert result.force > compress_cylinder().force
+    assert result.ratio == pytest.approx(1.0, abs=0.25)
+
+
+def test_short_thread_hangs():
+    """Hold at two fifths of the length √3 τ_y / ρ g, nearly unstretched."""
+    result = hang(0.4)
+    assert result.piece_count == 1
+    assert result.stretch < 0.05
+
+
+def test_long_thread_draws_out():
+    """Draw out beyond that length."""
+    assert hang(1.3, duration=0.5).stretch > 0.3
+
+
+@pytest.mark.xfail(strict=False, reason="threads part at .5 to .7 of √3 τ_y / ρ g")
+def test_thread_hangs_up_to_the_limit():
+    """Hold at nine tenths of that length."""
+    assert hang(0.9).stretch < 0.1

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clay on a potter's wheel, and a disc of clay that spins until it flows."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+
+from .shapes import block
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A block on a turning wheel, after a while."""
+
+    turn_ratio: float
+    """Angular velocity of the block about the wheel's axis over that of the wheel."""
+    radius_ratio: float
+    """Farthest particle from the block's own middle, after over before."""
+    slip: float
+    """What the block's middle moved over the wheel's face [m]."""
+    grip: float
+    """μ g / ω² r of the block's middle: it is carried above 1 and thrown off below."""
+    weight_ratio: float
+    """Force on the wheel over m g."""
+
+
+def turn_wheel(
+    rpm: float = 100.0,
+    *,
+    offset: float = 0.0,
+    counts: tuple[int, int, int] = (6, 6, 4),
+    turns: float = 2.0,
+    friction: float = 0.5,
+    spacing: float = 0.005,
+    material: Material | None = None,
+    settings: Settings | None = None,
+) -> Wheel:
+    """Start a wheel evenly within one turn, and let it run.
+
+    Args:
+        rpm: Turns a minute.
+        offset: Of the block's middle from the axis [m].
+        counts: Particles of the block along each axis.
+        turns: Turns at full speed.
+        friction: Of wheel and clay.
+        spacing: Particle spacing [m].
+        material: The clay; its friction is not used.
+        settings: Of the solver.
+    """
+    material = material or Material(friction=friction)
+    rate = rpm * 2 * math.pi / 60
+    scene = Scene(spacing)
+    points = block(counts, spacing, (offset, 0.0, 0.0))
+    scene.add_clay(points, material)
+    disc = trimesh.creation.cylinder(0.1, 0.02, sections=48)
+    face = scene.add_mesh(disc.vertices + np.array((0, 0, -0.01)), disc.faces, friction=friction)
+    solver = Solver(scene, settings)
+    for _ in range(10):
+        solver.step(1 / 60)
+    rest = solver.positions().astype(np.float64)
+    begin = rest.mean(0)
+    # From rest to full speed in one turn: ω t / 2 = 2 π.
+    run_up = math.ceil(4 * math.pi / rate * 60)
+    angle, weights = 0.0, []
+    for frame in range(run_up + math.ceil(turns * 2 * math.pi / rate * 60)):
+        angle += rate / 60 * min((frame + 0.5) / run_up, 1.0)
+        face.set_pose(turned(angle))
+        solver.step(1 / 60)
+        weights.append(-solver.force_on(face)[2])
+    points = solver.positions().astype(np.float64)
+    velocities = solver.velocities().astype(np.float64)
+    spin = np.cross(points, velocities)[:, 2].sum() / (points[:, :2] ** 2).sum()
+    middle = turned(angle)[:3, :3].T @ points.mean(0)
+    mass = len(points) * material.density * spacing**3
+    return Wheel(
+        turn_ratio=float(spin / rate),
+        radius_ratio=_reach(points) / _reach(rest),
+        slip=float(np.linalg.norm((middle - begin)[:2])),
+        grip=friction * GRAVITY / max(rate**2 * offset, 1e-12),
+        weight_ratio=float(np.mean(weights[run_up:])) / (mass * GRAVITY),
+    )
+
+
+@dataclass(frozen=True)
+class SpinningDisc:
+    """A thin disc of clay that spins freely about its axis."""
+
+    radius_ratio: float
+    """Radius after over before."""
+    limit_rpm: float
+    """Turns a minute at which it goes fully plastic: ρ ω² R² = 3 σ_Y, σ_Y = √3 τ_y (Timoshenko
+    and Goodier, *Theory of Elasticity*, and Tresca's or von Mises' yield in plane stress)."""
+    spin_kept: float
+    """Angular momentum after over before."""
+
+
+def spin_disc(
+    rpm: float = 300.0,
+    *,
+    limit_rpm: float = 373.0,
+    radius: float = 0.03,
+    layers: int = 2,
+    duration: float = 1.0,
+    spacing: float = 0.005,
+    material: Material | None = None,
+    settings: Settings | None = None,
+) -> SpinningDisc:
+    """Spin a disc without gravity, its yield stress such that theory puts the limit at a rate.
+
+    Args:
+        rpm: Turns a minute at the start.
+        limit_rpm: Where the limit shall lie.
+        radius: Of the disc [m].
+        layers: Particles across it.
+        duration: How long [s].
+        spacing: Particle spacing [m].
+        material: The clay; its yield stress is not used.
+        settings: Of the solver.
+    """
+    material = material or Material(viscosity=20.0)
+    limit = limit_rpm * 2 * math.pi / 60
+    stress = material.density * (limit * radius) ** 2 / (3 * math.sqrt(3))
+    across = 2 * math.ceil(radius / spacing)
+    points = block((across, across, layers), spacing)
+    points = points[np.hypot(points[:, 0], points[:, 1]) < radius]
+    points += np.random.default_rng(2).uniform(-0.05, 0.05, points.shape) * spacing
+    points -= points.mean(0)
+    velocities = np.cross((0.0, 0.0, rpm * 2 * math.pi / 60), points)
+    scene = Scene(spacing, gravity=(0, 0, 0))
+    clay = replace(material, yield_stress=stress)
+    scene.add_clay(points, clay, velocities=velocities)
+    solver = Solver(scene, settings)
+    for _ in range(round(duration * 60)):
+        solver.step(1 / 60)
+    after = solver.positions().astype(np.float64)
+    after -= after.mean(0)
+    spins = [
+        np.cross(x, v)[:, 2].sum()
+        for x, v in ((points, velocities), (after, solver.velocities().astype(np.float64)))
+    ]
+    return SpinningDisc(
+        radius_ratio=_mean_radius(after) / _mean_radius(points),
+        limit_rpm=limit_rpm,
+        spin_kept=float(spins[1] / spins[0]),
+    )
+
+
+def turned(angle: float) -> np.ndarray:
+    """A pose turned about the vertical [rad]."""
+    pose = np.eye(4)
+    pose[:2, :2] = (math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))
+    return pose
+
+
+def _reach(points: np.ndarray) -> float:
+    """Farthest from the middle, across the axis [m]."""
+    return float(np.linalg.norm((points - points.mean(0))[:, :2], axis=1).max())
+
+
+def _mean_radius(points: np.ndarray) -> float:
+    """Root mean square distance from the axis [m]."""
+    return float(np.sqrt((points[:, :2] ** 2).sum(1).mean()))
