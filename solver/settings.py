@@ -4,8 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
-MODELS = ("plastic_bonds",)
+MODELS = ("plastic_bonds", "paper")
+"""Clay models: the default, and the paper's as printed."""
+DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
+"""The paper's distance constraints are only as stiff as the substeps make them: with four, a block
+of 4 cm gives way under its own weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,10 +21,12 @@ class Settings:
         ValueError: A value is out of range; the message names it and what is allowed.
     """
 
-    substeps: int = 4
-    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more."""
+    substeps: int = cast(int, None)
+    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. Where not given,
+    those that the model needs: see `DEFAULT_SUBSTEPS`."""
     iterations: int = 4
-    """Conjugate-gradient iterations in each of a substep's two Newton steps."""
+    """Conjugate-gradient iterations in each of a substep's two Newton steps; relaxation iterations
+    of the model "paper"."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
@@ -33,11 +40,13 @@ class Settings:
     """Let clay that has come to rest sleep until something disturbs it."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.substeps <= 4096:
-            raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
-        if not 1 <= self.iterations <= 1000:
-            raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")
         if self.model not in MODELS:
             raise ValueError(
                 f"Settings.model is {self.model!r}; it must be one of {', '.join(MODELS)}."
             )
+        if self.substeps is None:
+            object.__setattr__(self, "substeps", DEFAULT_SUBSTEPS[self.model])
+        if not 1 <= self.substeps <= 4096:
+            raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
+        if not 1 <= self.iterations <= 1000:
+            raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")

@@ -11,6 +11,7 @@ from .clay_model import ClayModel
 from .contact import Contacts
 from .contact_law import MARGIN, ContactPass
 from .diagnostics import Diagnostics
+from .paper_model import PaperModel
 from .particles import Particles
 from .plastic_bonds import PlasticBonds
 from .regions import Regions
@@ -84,7 +85,8 @@ class Solver:
         self._colors = scene.colors()
         self._particles = Particles(scene, self.device)
         self._contacts = Contacts(scene, self._particles, friction=self.settings.friction)
-        self._model: ClayModel = PlasticBonds(self._particles, self._contacts, self.settings)
+        model = PaperModel if self.settings.model == "paper" else PlasticBonds
+        self._model: ClayModel = model(self._particles, self._contacts, self.settings)
         sleeping = self.settings.sleeping and self._model.can_sleep
         self._regions = Regions(self._particles, sleeping=sleeping)
 

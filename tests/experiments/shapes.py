@@ -39,3 +39,11 @@ def at(x: float, y: float, z: float) -> NDArray[np.float64]:
     pose = np.eye(4)
     pose[:3, 3] = (x, y, z)
     return pose
+
+
+def turned(points: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """The same points turned about their middle and the y axis by an angle [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    middle = points.mean(0)
+    turn = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+    return (points - middle) @ turn.T + middle

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's ablation (figure 2): a block dropped on an incline, without each kind of constraint.
+
+Barreiro, Torres and Otaduy, WHC 2021: the full model takes the impact and stops; without viscosity
+it flows fast and fractures; without elastoplasticity it drifts; without friction it slides.
+"""
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+
+from .shapes import block, turned
+
+GRAVITY = 9.81
+ANGLE = math.radians(20)
+"""Of the incline."""
+SPACING = 0.005
+COUNTS = (12, 8, 5)
+FALL = 0.1
+"""Between the block's lowest corner and the incline [m]."""
+FRICTION = 0.7
+PIECE_REACH = 1.5
+"""Particles closer than this belong to one piece, in spacings."""
+
+VARIANTS = MappingProxyType(
+    {
+        "full": {},
+        "without viscosity": {"viscosity": False},
+        "without elastoplasticity": {"elastoplasticity": False},
+        "without friction": {"friction": False},
+    }
+)
+"""The settings that each variant switches off."""
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """What became of a block that fell on an incline."""
+
+    variant: str
+    """One of `VARIANTS`."""
+    pieces: int
+    """Connected pieces at the end."""
+    largest_piece: float
+    """Part of the particles in the largest piece at the end."""
+    height: float
+    """Of the block across the incline at the end, over that before the fall."""
+    slide: float
+    """How far the block's middle moved in the last 0.4 s [m]."""
+    creep: float
+    """How far particles moved in the last 0.4 s, rms, less the block's rigid motion [m]."""
+    frames: tuple[NDArray[np.float32], ...]
+    """Positions at the times asked for [m], shape [N, 3] each."""
+
+
+def drop_on_incline(
+    variant: str,
+    *,
+    model: str = "paper",
+    duration: float = 1.2,
+    times: tuple[float, ...] = (),
+    material: Material | None = None,
+) -> Ablation:
+    """Drop a level block on an incline, gravity tilted instead of the incline.
+
+    Args:
+        variant: One of `VARIANTS`.
+        model: Clay model.
+        duration: Of the whole experiment [s].
+        times: When to keep positions [s].
+        material: The clay; the default one with the friction of the incline where not given.
+    """
+    downhill = np.array((math.sin(ANGLE), 0.0, -math.cos(ANGLE)))
+    points = turned(block(COUNTS, SPACING), -ANGLE)
+    points[:, 2] += 0.5 * SPACING - points[:, 2].min()
+    height = float(np.ptp(points[:, 2]))
+    points -= FALL * downhill
+    scene = Scene(SPACING, tuple(GRAVITY * downhill))
+    scene.add_clay(points, material or Material(friction=FRICTION))
+    scene.add_plane(friction=FRICTION)
+    solver = Solver(scene, Settings(model=model, **VARIANTS[variant]))
+    kept: dict[int, NDArray[np.float32]] = {}
+    wanted = [round(60 * time) for time in times]
+    steps = round(60 * duration)
+    for step in range(max([steps, *wanted]) + 1):
+        if step in wanted:
+            kept[step] = solver.positions()
+        if step == steps - 24:
+            before = solver.positions().astype(float)
+        if step == steps:
+            after = solver.positions().astype(float)
+        solver.step(1 / 60)
+    sizes = piece_sizes(after, PIECE_REACH * SPACING)
+    return Ablation(
+        variant=variant,
+        pieces=len(sizes),
+        largest_piece=float(sizes.max() / len(after)),
+        height=float(np.ptp(after[:, 2]) / height),
+        slide=float(np.linalg.norm((after - before).mean(0))),
+        creep=creep_between(before, after),
+        frames=tuple(kept[step] for step in wanted),
+    )
+
+
+def piece_sizes(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
+    """Number of particles in each connected piece, where those within reach are connected."""
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    near = apart < reach
+    label = np.arange(len(points))
+    while True:
+        lowest = np.where(near, label[None], len(points)).min(1)
+        if np.array_equal(lowest, label):
+            return np.unique(label, return_counts=True)[1]
+        label = lowest
+
+
+def creep_between(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
+    """Rms of what is left of a motion after taking out the best rigid one [m] (Kabsch, 1976)."""
+    start, end = before - before.mean(0), after - after.mean(0)
+    left, _, right = np.linalg.svd(start.T @ end)
+    mirror = np.diag((1.0, 1.0, np.linalg.det(left @ right)))
+    rest = end - start @ left @ mirror @ right
+    return float(np.sqrt((rest**2).sum(1).mean()))
