@@ -2,6 +2,7 @@
 # make demo        model, bake, render and export the kindergarten scene into build/demo
 # make test        run all tests                       (TESTS=tests/solver runs some)
 # make bench       measure speed into build/bench
+# make bench-peers measure other engines beside it, in environments of their own in build/peers
 # make report      run the physics experiments into build/report
 # make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
 # make lint        check style and types
@@ -23,7 +24,7 @@ python = $(VENV)/bin/python
 # A file's tests stay together, so that what they share is made once.
 workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test bench report extension lint format environment clean
+.PHONY: demo test bench bench-peers report extension lint format environment clean
 .DEFAULT_GOAL = demo
 
 environment:
@@ -37,6 +38,9 @@ test: environment
 
 bench: environment
 	@$(python) -m tactile_clay.tests.bench.run --output build/bench
+
+bench-peers: environment
+	@$(python) -m tactile_clay.tests.bench.peers --output build/bench
 
 report: environment
 	@$(python) -m tactile_clay.tests.experiments.report --output build/report

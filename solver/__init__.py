@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from .closed_mesh import MeshError, check_closed_mesh
 from .material import Material
-from .settings import Settings
+from .settings import QUALITIES, Settings
 
 if TYPE_CHECKING:
     from .diagnostics import Diagnostics
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .solver import Solver
 
 __all__ = [
+    "QUALITIES",
     "ClayBody",
     "Diagnostics",
     "Material",

@@ -9,8 +9,9 @@ from typing import cast
 MODELS = ("plastic_bonds", "paper")
 """Clay models: the default, and the paper's as printed."""
 DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
-"""The paper's distance constraints are only as stiff as the substeps make them: with four, a block
-of 4 cm gives way under its own weight."""
+DEFAULT_ITERATIONS = {"plastic_bonds": 2, "paper": 4}
+"""What clay needs to look and feel right live. The paper's distance constraints are only as stiff
+as substeps and iterations make them: with less, a block of 4 cm gives way under its weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +24,10 @@ class Settings:
 
     substeps: int = cast(int, None)
     """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. Where not given,
-    those that the model needs: see `DEFAULT_SUBSTEPS`."""
-    iterations: int = 4
+    those that the model needs."""
+    iterations: int = cast(int, None)
     """Conjugate-gradient iterations in each of a substep's two Newton steps; relaxation iterations
-    of the model "paper"."""
+    of the model "paper". Where not given, those that the model needs."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
@@ -35,7 +36,6 @@ class Settings:
     """Hold shape by bonds that yield; off, the clay is a fluid."""
     friction: bool = True
     """Coulomb friction on colliders; off, everything slides."""
-
     sleeping: bool = True
     """Let clay that has come to rest sleep until something disturbs it."""
 
@@ -46,7 +46,18 @@ class Settings:
             )
         if self.substeps is None:
             object.__setattr__(self, "substeps", DEFAULT_SUBSTEPS[self.model])
+        if self.iterations is None:
+            object.__setattr__(self, "iterations", DEFAULT_ITERATIONS[self.model])
         if not 1 <= self.substeps <= 4096:
             raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
         if not 1 <= self.iterations <= 1000:
             raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")
+
+
+QUALITIES = {
+    "draft": Settings(substeps=2),
+    "live": Settings(),
+    "film": Settings(substeps=16),
+}
+"""Settings from the front of error against cost: the cheapest worth having, those for sculpting
+live, and those for rendering."""

@@ -50,14 +50,20 @@ class Drop:
     """Height of the block at the end over its height before."""
 
 
-def drop(height: float = 0.05, *, counts: int = 7, duration: float = 1.0) -> Drop:
+def drop(
+    height: float = 0.05,
+    *,
+    counts: int = 7,
+    duration: float = 1.0,
+    settings: Settings | None = None,
+) -> Drop:
     """Let a block fall on a table and come to rest."""
     spacing = 0.005
     material = Material()
     scene = Scene(spacing)
     scene.add_clay(block(counts, spacing, (0, 0, height)), material)
     table = scene.add_plane()
-    solver = Solver(scene)
+    solver = Solver(scene, settings)
     weight = counts**3 * material.density * spacing**3 * GRAVITY
     impulse = 0.0
     steps = round(duration * 60)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_clay.solver import Material, Scene, Solver
+from tactile_clay.solver import Material, Scene, Settings, Solver
 
 from .shapes import block
 
@@ -24,7 +24,9 @@ class Spin:
     """Farthest particle from the centre, after over before."""
 
 
-def spin(rate: float = 10.0, duration: float = 1.0, *, counts: int = 6) -> Spin:
+def spin(
+    rate: float = 10.0, duration: float = 1.0, *, counts: int = 6, settings: Settings | None = None
+) -> Spin:
     """Spin a block at ``rate`` [rad/s] without gravity."""
     spacing = 0.005
     points = block(counts, spacing)
@@ -32,7 +34,7 @@ def spin(rate: float = 10.0, duration: float = 1.0, *, counts: int = 6) -> Spin:
     velocities = np.cross((0.0, 0.0, rate), points)
     scene = Scene(spacing, gravity=(0, 0, 0))
     scene.add_clay(points, Material(), velocities=velocities)
-    solver = Solver(scene)
+    solver = Solver(scene, settings)
     spins = [float(np.cross(points, velocities)[:, 2].sum())]
     for _ in range(round(duration * 60)):
         solver.step(1 / 60)
@@ -63,7 +65,7 @@ class Collision:
     """Largest change of angular momentum in a step, over the same."""
 
 
-def collision(speed: float = 0.5) -> Collision:
+def collision(speed: float = 0.5, *, settings: Settings | None = None) -> Collision:
     """Let two blocks of different density meet off-centre without gravity."""
     spacing = 0.005
     heavy, light = Material(density=2000.0), Material(density=1000.0)
@@ -72,7 +74,7 @@ def collision(speed: float = 0.5) -> Collision:
     scene = Scene(spacing, gravity=(0, 0, 0))
     scene.add_clay(left, heavy, velocities=(speed, 0, 0))
     scene.add_clay(right, light, velocities=(-speed, 0, 0))
-    solver = Solver(scene)
+    solver = Solver(scene, settings)
     mass = np.repeat((heavy.density, light.density), (len(left), len(right)))[:, None]
 
     def momenta() -> tuple[np.ndarray, np.ndarray]:

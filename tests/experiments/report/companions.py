@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Parts of the report that modules of their own bring: the hard cases and the ablation.
+
+Each is run where its module stands beside this folder, and left out where it does not.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import warp as wp
+
+from tactile_clay.solver.settings import MODELS
+
+PARENT = "tactile_clay.tests.experiments"
+
+
+def companion(name: str) -> ModuleType | None:
+    """Import a module beside this folder, if it is there."""
+    full = f"{PARENT}.{name}"
+    try:
+        return importlib.import_module(full)
+    except ModuleNotFoundError as error:
+        if error.name != full:
+            raise
+        return None
+
+
+@dataclass(frozen=True)
+class HardCaseResult:
+    """What happened in a hard case."""
+
+    name: str
+    """Its name."""
+    passed: bool
+    """Whether it was survived."""
+    figures: dict[str, Any]
+    """The fields of its result."""
+    failure: str = ""
+    """What it raised, empty where nothing."""
+
+
+def hard_cases() -> dict[str, Callable[[], Any]]:
+    """The hard cases there are, by name."""
+    module = companion("hard_cases")
+    return dict(module.CASES) if module else {}
+
+
+def run_hard_case(name: str) -> HardCaseResult:
+    """Run one; what it raises is part of what happened."""
+    wp.config.quiet = True
+    try:
+        result = hard_cases()[name]()
+    except Exception as error:
+        return HardCaseResult(name, False, {}, f"{type(error).__name__}: {error}")
+    return HardCaseResult(name, result.passed, asdict(result))
+
+
+def run_ablation(folder: Path) -> list[str]:
+    """Drop the block on the incline in every model and variant, and draw what became of it.
+
+    Returns:
+        Lines of Markdown, none where there is no ablation.
+    """
+    ablation, picture = companion("ablation"), companion("ablation_picture")
+    if ablation is None or picture is None:
+        return []
+    lines = []
+    for model in MODELS:
+        results = [
+            ablation.drop_on_incline(variant, model=model, times=picture.TIMES)
+            for variant in ablation.VARIANTS
+        ]
+        picture.draw_ablation(results, folder / f"ablation_{model}.png")
+        lines += [f"Model `{model}`:", "", f"![Ablation of {model}](ablation_{model}.png)", ""]
+        shown = [
+            field.name for field in fields(results[0]) if field.name not in ("variant", "frames")
+        ]
+        lines += [f"| variant | {' | '.join(shown)} |", "|---" * (len(shown) + 1) + "|"]
+        lines += [
+            f"| {r.variant} | {' | '.join(f'{getattr(r, name):.4g}' for name in shown)} |"
+            for r in results
+        ]
+        lines.append("")
+    return lines

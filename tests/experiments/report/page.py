@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report's page and its data file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tactile_clay.solver import Settings
+
+from .companions import HardCaseResult
+from .point import TIME_LIMIT, Outcome
+from .registry import find
+from .stability import EJECTED_SPEED, JITTER_SPEED, Cell, Margin
+from .sweep import QUALITIES, SCORE_LIMIT, Combined
+
+ABOUT_ERRORS = f"""\
+An error is the distance of a figure from its reference, 0 inside the reference's band: where theory
+gives one number the band has no width, where theories differ it spans them. Divided by the goal set
+for the figure, as in the table below, it becomes a number that can be compared: *1 goal* is a goal
+just met. An experiment's error is its worst figure's. Over all experiments the mean is taken of all
+figures, each counted as {SCORE_LIMIT:g} goals at most, so that a figure that is entirely wrong does
+not hide the others; the worst figure and the number of goals met stand beside it.
+
+Cost is processor time of the solver's steps alone, over all threads, with nothing else of the
+report running, without each solver's first steps. A frame is 1/60 s of simulated time."""
+
+
+@dataclass
+class Report:
+    """All that was found out."""
+
+    machine: dict[str, Any]
+    """Processor, cores and versions."""
+    live: list[Outcome] = field(default_factory=list)
+    """Every experiment at the live setting."""
+    swept: list[Outcome] = field(default_factory=list)
+    """Swept experiments at all settings."""
+    combined: list[Combined] = field(default_factory=list)
+    """Settings over all swept experiments."""
+    qualities: dict[str, Combined] = field(default_factory=dict)
+    """Draft, live and film."""
+    cells: list[Cell] = field(default_factory=list)
+    """The stability map."""
+    room: Margin | None = None
+    """Margin of the live setting in it."""
+    hard_cases: list[HardCaseResult] = field(default_factory=list)
+    """What happened in hard cases."""
+    ablation: list[str] = field(default_factory=list)
+    """Lines of the ablation's part."""
+    seconds: float = 0.0
+    """What the report took [s]."""
+
+
+def write_page(report: Report, folder: Path) -> None:
+    """Write report.md."""
+    lines = ["# What the clay was measured to do", ""]
+    lines += [" · ".join(f"{k} {v}" for k, v in report.machine.items()), ""]
+    live = Settings()
+    lines += [
+        f"The live setting, `Settings()`, takes {live.substeps} substeps a frame of "
+        f"{live.iterations} iterations, model `{live.model}`.",
+        "",
+        "## Errors and cost",
+        "",
+        ABOUT_ERRORS,
+        "",
+    ]
+    if report.combined:
+        lines += ["![Mean error against cost](front.png)", ""]
+        lines += _quality_table(report)
+    lines += ["## The live setting", "", "![Errors at the live setting](live.png)", ""]
+    lines += _live_table(report)
+    if report.swept:
+        lines += ["## Error against cost, by experiment", ""]
+        lines += ["![Worst error of each experiment against its cost](experiments.png)", ""]
+        lines += _spacing_table(report.swept)
+    if report.cells:
+        lines += ["## Stability", "", "![Substep against stiffness](stability.png)", ""]
+        lines += [
+            "A block is pressed by a ball, let go, and left alone for half a second. It is "
+            "*stable* if its root-mean-square speed is then below "
+            f"{1e3 * JITTER_SPEED:g} mm/s (the number in the field), else it *jitters*; it has "
+            f"*blown up* if a particle ever went faster than {EJECTED_SPEED:g} m/s (the number in "
+            "the field), had to be slowed or was not finite.",
+            "",
+        ]
+    if report.ablation:
+        lines += ["## Ablation", "", *report.ablation, ""]
+    if report.hard_cases:
+        lines += ["## Hard cases", "", *_hard_case_table(report.hard_cases)]
+    lines += [f"Made in {report.seconds / 60.0:.1f} minutes."]
+    (folder / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _quality_table(report: Report) -> list[str]:
+    lines = [
+        "*Live* is the default. *Film* is the cheapest setting on the front whose mean error is "
+        "within a tenth of the least. *Draft* is the cheapest on the front whose mean and worst "
+        "errors are at most twice those of live.",
+        "",
+        "| quality | substeps × iterations | µs a particle and frame | mean error, goals "
+        "| worst error, goals | goals met |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in QUALITIES:
+        if name in report.qualities:
+            c = report.qualities[name]
+            lines.append(
+                f"| {name} | {c.settings.substeps} × {c.settings.iterations} "
+                f"| {c.microseconds:.1f} | {c.mean:.2f} | {_number(c.worst)} "
+                f"| {c.met} of {c.count} |"
+            )
+    return [*lines, ""]
+
+
+def _live_table(report: Report) -> list[str]:
+    outcomes = report.live
+    timed = {o.point for o in report.swept}
+    lines = [
+        "| experiment | figure | measured | reference | goal: within | error, goals "
+        "| core-ms a frame |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for outcome in outcomes:
+        name = outcome.point.experiment
+        # The others ran two at once.
+        cost = f"{outcome.core_ms:.1f}" if outcome.point in timed else ""
+        for m in outcome.measurements:
+            mark = "" if m.score <= 1.0 else " ✗"
+            unit = f" {m.unit}" if m.unit else ""
+            lines.append(
+                f"| {name} | {m.figure} | {m.value:.4g}{unit} | {m.reference_text()}{unit} "
+                f"| {m.tolerance:.2g}{unit} | {_number(m.score)}{mark} | {cost} |"
+            )
+            name = cost = ""
+        if outcome.failure:
+            lines.append(f"| | {outcome.failure} | | | | | |")
+    lines += ["", "References:", ""]
+    sources: dict[str, list[str]] = {}
+    for outcome in outcomes:
+        name = outcome.point.experiment
+        sources.setdefault(find(name).source, []).append(name)
+    lines += [f"- {'; '.join(names)}: {source}." for source, names in sources.items()]
+    return [*lines, ""]
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        return "no result"
+    return f"{value:.2f}" if value >= 0.005 else "0.00"
+
+
+def _spacing_table(outcomes: Sequence[Outcome]) -> list[str]:
+    live = [o for o in outcomes if o.point.settings == Settings()]
+    finer = {o.point.experiment for o in outcomes if o.point.spacing != _first(o)}
+    if not finer:
+        return []
+    lines = [
+        "At other spacings, at the live setting; figures in order of the table above:",
+        "",
+        "| experiment | spacing | measured | core-ms a frame |",
+        "|---|---|---|---|",
+    ]
+    for o in sorted(live, key=lambda o: o.point.spacing):
+        if o.point.experiment in finer:
+            figures = ", ".join(f"{m.figure} {m.value:.3g}" for m in o.measurements)
+            lines.append(
+                f"| {o.point.experiment} | {1e3 * o.point.spacing:g} mm | {figures} "
+                f"| {o.core_ms:.1f} |"
+            )
+    return [*lines, ""]
+
+
+def _first(outcome: Outcome) -> float:
+    return find(outcome.point.experiment).spacings[0]
+
+
+def _hard_case_table(cases: Sequence[HardCaseResult]) -> list[str]:
+    names = list(dict.fromkeys(name for case in cases for name in case.figures))
+    titles = [name.replace("_", " ") for name in names]
+    lines = [f"| case | survived | {' | '.join(titles)} |", "|---" * (len(names) + 2) + "|"]
+    for case in cases:
+        cells = [_shown(case.figures[name]) for name in names if name in case.figures]
+        if case.failure:
+            cells = [case.failure] + [""] * (len(names) - 1)
+        survived = "yes" if case.passed else "**no**"
+        lines.append(f"| {case.name} | {survived} | {' | '.join(cells)} |")
+    passed = sum(case.passed for case in cases)
+    return [f"{passed} of {len(cases)} are survived.", "", *lines, ""]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def write_data(report: Report, folder: Path) -> None:
+    """Write report.json: numbers that are not finite become null."""
+    data = {
+        "machine": report.machine,
+        "seconds": report.seconds,
+        "time_limit_per_experiment": TIME_LIMIT,
+        "live": [o.as_dict() for o in report.live],
+        "sweep": [o.as_dict() for o in report.swept],
+        "combined": [asdict(c) for c in report.combined],
+        "qualities": {name: asdict(c) for name, c in report.qualities.items()},
+        "stability": {
+            "cells": [asdict(c) | {"behaviour": c.behaviour.value} for c in report.cells],
+            "margin": asdict(report.room) if report.room else None,
+        },
+        "hard_cases": [asdict(case) for case in report.hard_cases],
+    }
+    text = json.dumps(_finite(data), indent=1, allow_nan=False)
+    (folder / "report.json").write_text(text + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float) or hasattr(value, "dtype"):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value

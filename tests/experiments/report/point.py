@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One run of one experiment: at a setting and a spacing, with its figures and what it cost."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from tactile_clay.solver import Settings
+from tactile_clay.tests.experiments.standing import stand
+
+from .figure import Measurement
+from .meter import TooExpensiveError, metered
+from .registry import find
+
+TIME_LIMIT = 90.0
+"""Processor time after which an experiment is given up [s]."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """An experiment to run."""
+
+    experiment: str
+    """Its name."""
+    settings: Settings
+    """How finely."""
+    spacing: float
+    """Particle spacing [m]."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out."""
+
+    point: Point
+    """What was run."""
+    measurements: tuple[Measurement, ...]
+    """Its figures."""
+    core_ms: float
+    """Processor milliseconds a frame of 1/60 s."""
+    microseconds: float
+    """Processor microseconds a particle and frame."""
+    failure: str = ""
+    """Why it came to no end, empty where it did."""
+
+    @property
+    def score(self) -> float:
+        """The worst of the figures' errors over their tolerances."""
+        return max(m.score for m in self.measurements)
+
+    @property
+    def median_score(self) -> float:
+        """The median of the figures' errors over their tolerances."""
+        return statistics.median(m.score for m in self.measurements)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        return {
+            "experiment": self.point.experiment,
+            "settings": asdict(self.point.settings),
+            "spacing": self.point.spacing,
+            "core_ms_per_frame": self.core_ms,
+            "microseconds_per_particle_and_frame": self.microseconds,
+            "score": self.score,
+            "figures": [
+                {
+                    "figure": m.figure,
+                    "unit": m.unit,
+                    "measured": m.value,
+                    "reference": [m.low, m.high],
+                    "tolerance": m.tolerance,
+                    "error": m.error,
+                    "score": m.score,
+                }
+                for m in self.measurements
+            ],
+            "failure": self.failure,
+        }
+
+
+def run_point(point: Point) -> Outcome:
+    """Run an experiment; one that fails has infinite errors."""
+    experiment = find(point.experiment)
+    failure = ""
+    measurements: tuple[Measurement, ...]
+    with metered(TIME_LIMIT) as meter, np.errstate(all="ignore"):
+        try:
+            result = experiment.run(point.settings, point.spacing)
+            measurements = tuple(figure.measure(result) for figure in experiment.figures)
+        except (TooExpensiveError, ArithmeticError, ValueError, np.linalg.LinAlgError) as error:
+            failure = str(error)
+            measurements = tuple(figure.missing() for figure in experiment.figures)
+    return Outcome(point, measurements, meter.core_ms, meter.microseconds, failure)
+
+
+def warm_up() -> None:
+    """Load and compile what experiments need, so that none of it is counted to the first."""
+    wp.config.quiet = True
+    stand(duration=0.2, settle=0.1)
+    run_point(Point("press, 5 kPa", Settings(substeps=1, iterations=1), 0.01))
+
+
+def workers(count: int) -> ProcessPoolExecutor:
+    """Processes of their own, for what is not timed."""
+    return ProcessPoolExecutor(count, get_context("spawn"), initializer=warm_up)
+
+
+def run_points(points: Iterable[Point]) -> Iterator[Outcome]:
+    """Run points one after the other, alone, so that their cost is right."""
+    for point in points:
+        yield run_point(point)
