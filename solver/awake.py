@@ -11,6 +11,9 @@ class Awake:
     count: wp.array[int]
     """How many; on the device, so that recorded passes can be replayed when it changes."""
     index: wp.array[int]
+    part: int
+    """Which part of the particles this is: each thread of a CPU works on one, and sums of its own
+    are kept for each."""
 
 
 @wp.func

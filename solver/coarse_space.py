@@ -17,7 +17,7 @@ from . import coarse_space_cpu
 from .awake import Awake, awake_particle
 from .coarse_modes import MODES, assemble, rigid_row
 from .pairs import Pairs
-from .particles import Particles
+from .particles import ByPart, Particles
 
 CELL = 8.0
 """Edge of a cell, in spacings."""
@@ -29,19 +29,21 @@ _REBUILDS = 4
 
 
 @wp.func
-def add_to_modes(sums: wp.array[wp.float64], cell: int, arm: wp.vec3, impulse: wp.vec3) -> None:
+def add_to_modes(
+    sums: wp.array2d[wp.float64], part: int, cell: int, arm: wp.vec3, impulse: wp.vec3
+) -> None:
     """Sum an impulse onto a cell's modes."""
     row = rigid_row(arm, impulse)
     for p in range(MODES):
-        wp.atomic_add(sums, MODES * cell + p, wp.float64(row[p]))
+        wp.atomic_add(sums, part, MODES * cell + p, wp.float64(row[p]))
 
 
 @wp.func
-def prolong(cell: int, arm: wp.vec3, modes: wp.array[float]) -> wp.vec3:
+def prolong(cell: int, arm: wp.vec3, modes: wp.array2d[float], part: int) -> wp.vec3:
     """Velocity that a cell's modes give a particle."""
     k = MODES * cell
-    shift = wp.vec3(modes[k], modes[k + 1], modes[k + 2])
-    turn = wp.vec3(modes[k + 3], modes[k + 4], modes[k + 5])
+    shift = wp.vec3(modes[part, k], modes[part, k + 1], modes[part, k + 2])
+    turn = wp.vec3(modes[part, k + 3], modes[part, k + 4], modes[part, k + 5])
     return shift + wp.cross(turn, arm)
 
 
@@ -81,9 +83,9 @@ def number_cells(awake: Awake, number: wp.array[int], cell: wp.array[int]) -> No
 def apply_inverse(
     size: wp.array[int],
     inverse: wp.array2d[float],
-    sums: wp.array[wp.float64],
-    modes: wp.array[float],
-    energy: wp.array[wp.float64],
+    sums: wp.array2d[wp.float64],
+    modes: wp.array2d[float],
+    energy: wp.array2d[wp.float64],
     place: int,
 ) -> None:
     """Multiply by the inverse of the coarse matrix."""
@@ -92,9 +94,9 @@ def apply_inverse(
         return
     total = float(0.0)
     for column in range(size[0]):
-        total += inverse[row, column] * float(sums[column])
-    modes[row] = total
-    wp.atomic_add(energy, place, wp.float64(total) * sums[row])
+        total += inverse[row, column] * float(sums[0, column])
+    modes[0, row] = total
+    wp.atomic_add(energy, 0, place, wp.float64(total) * sums[0, row])
 
 
 class CoarseSpace:
@@ -122,13 +124,14 @@ class CoarseSpace:
         size = MODES * cells
         self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
         # Vector units add eight numbers where a mode has six.
-        self.matrix = wp.zeros((size + 1, size + 8), dtype=float, device=self.device)
+        parts = self.particles.parts
+        self.matrix = wp.zeros((parts, size + 1, size + 8), dtype=float, device=self.device)
         if self.device.is_cpu:
-            self.factor = coarse_space_cpu.Factor(size, self.device)
+            self.factor = coarse_space_cpu.Factor(size, self.particles)
         else:
             self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
-        self.sums = wp.zeros(size, dtype=wp.float64, device=self.device)
-        self.modes = wp.zeros(size, dtype=float, device=self.device)
+        self.sums = wp.zeros((parts, size), dtype=wp.float64, device=self.device)
+        self.modes = wp.zeros((parts, size), dtype=float, device=self.device)
 
     def place_cells(self, rebuild_count: int) -> None:
         """Lay cells over the particles, unless they still lie well.
@@ -219,27 +222,27 @@ class CoarseSpace:
             own_block: Mass and contact stiffness of each particle [kg].
             pairs: The acting pairs with their stiffness.
         """
-        self.matrix.zero_()
+        matrix = ByPart.rows(self.matrix)
+        self.particles.zero(matrix)
         inputs = [
             self.cell,
             self.center,
             self.particles.position,
             own_block,
             pairs.rows,
-            self.matrix,
         ]
         if self.device.is_cpu:
-            self.particles.launch_blocks(coarse_space_cpu.assemble, *inputs)
+            self.particles.launch_blocks(coarse_space_cpu.assemble, *inputs, matrix)
             self.factor.take(self.size, self.center, self.ridge, self.matrix)
         else:
-            self.particles.launch(assemble, *inputs)
+            self.particles.launch(assemble, *inputs, matrix[0])
 
     def invert(self) -> None:
         """Invert the coarse matrix on the host, for a graphics card; the CPU has done so."""
         if self.device.is_cpu:
             return
         cells = int(self.size.numpy()[0]) // MODES
-        matrix = join_blocks(self.matrix.numpy(), self.center.numpy()[:cells])
+        matrix = join_blocks(self.matrix.numpy().sum(0), self.center.numpy()[:cells])
         matrix[np.diag_indices_from(matrix)] += np.tile(self.ridge, cells)
         inverse = np.zeros(self.inverse.shape, np.float32)
         inverse[: len(matrix), : len(matrix)] = np.linalg.inv(matrix)
@@ -257,7 +260,7 @@ class CoarseSpace:
             return
         wp.launch(
             apply_inverse,
-            dim=len(self.sums),
+            dim=self.sums.shape[1],
             inputs=[self.size, self.inverse, self.sums, self.modes, energy, place],
             device=self.device,
         )

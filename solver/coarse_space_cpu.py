@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .awake import Awake
 from .pair_rows import PairRows
+from .particles import ByPart, Particles
 from .vector_units import OPTIONS, over_block
 
 wp.set_module_options(OPTIONS)
@@ -83,28 +84,39 @@ def assemble(
 @wp.func_native("""{
     #pragma clang fp reassociate(on) contract(fast)
     const int n = size.data[0], cells = n / 6;
-    const long long stride = matrix.strides[0] / sizeof(float);
+    const long long stride = matrix.strides[1] / sizeof(float);
     const long long pitch = factor.strides[0] / sizeof(double);
     double* L = factor.data;
+    const int parts = matrix.shape[0];
+    const long long next_part = matrix.strides[0] / sizeof(float);
+    auto entry_of = [&](int row, int column) __attribute__((always_inline)) {
+        double total = 0.0;
+        for (int part = 0; part < parts; part++)
+            total += matrix.data[part * next_part + row * stride + column];
+        return total;
+    };
     for (int a = 0; a < cells; a++) {
         int begin = 6 * a;
         for (int p = 0; p < 6; p++)
             for (int q = 0; q < 6; q++) {
-                const double entry = matrix.data[(6 * a + p) * stride + 6 * a + q];
-                const double turned = matrix.data[(6 * a + q) * stride + 6 * a + p];
+                const double entry = entry_of(6 * a + p, 6 * a + q);
+                const double turned = entry_of(6 * a + q, 6 * a + p);
                 L[(6 * a + p) * pitch + 6 * a + q] = 0.5 * (entry + turned);
             }
         for (int b = 0; b < cells; b++) {
             if (b == a) continue;
-            const float* block = matrix.data + 6 * a * stride + 6 * b;
-            const bool joined = block[0] + block[stride + 1] + block[2 * stride + 2] > 0.f;
+            double trace = 0.0;
+            for (int k = 0; k < 3; k++) trace += entry_of(6 * a + k, 6 * b + k);
+            const bool joined = trace > 0.0;
+            if (!joined && b > a) continue;
             if (joined && 6 * b < begin) begin = 6 * b;
             double d[3];
             for (int k = 0; k < 3; k++)
                 d[k] = ((const float*)center.data)[3 * a + k]
                     - ((const float*)center.data)[3 * b + k];
             for (int p = 0; p < 6; p++) {
-                const float* m = block + p * stride;
+                double m[6];
+                for (int q = 0; q < 6; q++) m[q] = entry_of(6 * a + p, 6 * b + q);
                 double* row = L + (6 * a + p) * pitch;
                 if (joined) for (int q = 0; q < 6; q++) row[6 * a + q] += m[q];
                 if (b > a) continue;
@@ -141,7 +153,7 @@ def factor_matrix(
     center: wp.array[wp.vec3],
     shift_ridge: wp.vec3,
     turn_ridge: wp.vec3,
-    matrix: wp.array2d[float],
+    matrix: wp.array3d[float],
     factor: wp.array2d[wp.float64],
     inverses: wp.array[wp.float64],
     starts: wp.array[int],
@@ -154,7 +166,7 @@ def factor(
     center: wp.array[wp.vec3],
     shift_ridge: wp.vec3,
     turn_ridge: wp.vec3,
-    matrix: wp.array2d[float],
+    matrix: wp.array3d[float],
     lower: wp.array2d[wp.float64],
     inverses: wp.array[wp.float64],
     starts: wp.array[int],
@@ -168,9 +180,15 @@ def factor(
     const int n = size.data[0];
     const long long pitch = factor.strides[0] / sizeof(double);
     double* y = work.data;
+    const long long next_part = sums.strides[0] / sizeof(double);
+    auto sum_of = [&](int i) __attribute__((always_inline)) {
+        double total = 0.0;
+        for (int part = 0; part < sums.shape[0]; part++) total += sums.data[part * next_part + i];
+        return total;
+    };
     for (int i = 0; i < n; i++) {
         const double* row = factor.data + i * pitch;
-        double total = sums.data[i];
+        double total = sum_of(i);
         for (int k = starts.data[i]; k < i; k++) total -= row[k] * y[k];
         y[i] = total * inverses.data[i];
     }
@@ -180,7 +198,7 @@ def factor(
         const double x = y[i] * inverses.data[i];
         for (int k = starts.data[i]; k < i; k++) y[k] -= row[k] * x;
         modes.data[i] = (float)x;
-        all += x * sums.data[i];
+        all += x * sum_of(i);
     }
     energy.data[place] += all;
 }""")
@@ -190,7 +208,7 @@ def solve_factored(
     inverses: wp.array[wp.float64],
     starts: wp.array[int],
     work: wp.array[wp.float64],
-    sums: wp.array[wp.float64],
+    sums: wp.array2d[wp.float64],
     modes: wp.array[float],
     energy: wp.array[wp.float64],
     place: int,
@@ -204,7 +222,7 @@ def solve(
     inverses: wp.array[wp.float64],
     starts: wp.array[int],
     work: wp.array[wp.float64],
-    sums: wp.array[wp.float64],
+    sums: wp.array2d[wp.float64],
     modes: wp.array[float],
     energy: wp.array[wp.float64],
     place: int,
@@ -214,33 +232,46 @@ def solve(
 
 
 class Factor:
-    """The factored coarse matrix.
+    """The factored coarse matrix; each part of the particles factors and solves for itself.
 
     Args:
         size: Most rows that it can have.
-        device: The CPU.
+        particles: Whose.
     """
 
-    def __init__(self, size: int, device: wp.Device) -> None:
-        self.device = device
-        self.lower = wp.zeros((size, size), dtype=wp.float64, device=device)
-        self.inverses = wp.zeros(size, dtype=wp.float64, device=device)
-        self.starts = wp.zeros(size, dtype=int, device=device)
-        self.work = wp.zeros(size, dtype=wp.float64, device=device)
+    def __init__(self, size: int, particles: Particles) -> None:
+        self.particles = particles
+        device, parts = particles.device, particles.parts
+        self.lower = wp.zeros((parts, size, size), dtype=wp.float64, device=device)
+        self.inverses = wp.zeros((parts, size), dtype=wp.float64, device=device)
+        self.starts = wp.zeros((parts, size), dtype=int, device=device)
+        self.work = wp.zeros((parts, size), dtype=wp.float64, device=device)
 
     def take(
         self, size: wp.array, center: wp.array, ridge: NDArray[np.float64], matrix: wp.array
     ) -> None:
         """Factor what `assemble` summed; ``ridge`` is added to each cell's diagonal [kg, kg m²]."""
-        shift, turn = wp.vec3(*ridge[:3]), wp.vec3(*ridge[3:])
-        parts = [self.lower, self.inverses, self.starts]
-        inputs = [size, center, shift, turn, matrix, *parts]
-        wp.launch(factor, dim=1, inputs=inputs, device=self.device)
+        self.particles.launch_once(
+            factor,
+            size,
+            center,
+            wp.vec3(*ridge[:3]),
+            wp.vec3(*ridge[3:]),
+            matrix,
+            *(ByPart.rows(array) for array in (self.lower, self.inverses, self.starts)),
+        )
 
     def solve(
         self, size: wp.array, sums: wp.array, modes: wp.array, energy: wp.array, place: int
     ) -> None:
         """Solve for the motions of the cells, and add their energy at ``place`` [J]."""
-        parts = [self.lower, self.inverses, self.starts, self.work]
-        inputs = [size, *parts, sums, modes, energy, place]
-        wp.launch(solve, dim=1, inputs=inputs, device=self.device)
+        own = (self.lower, self.inverses, self.starts, self.work)
+        self.particles.launch_once(
+            solve,
+            size,
+            *(ByPart.rows(array) for array in own),
+            sums,
+            ByPart.rows(modes),
+            ByPart.rows(energy),
+            place,
+        )

@@ -14,19 +14,28 @@ from .awake import Awake, awake_particle
 from .bond_law import Clay
 from .coarse_space import CoarseSpace, add_to_modes, prolong
 from .pairs import Pairs
-from .particles import Particles, zero_vectors
+from .particles import ByPart, Particles, zero_vectors
 from .solve_data import Solve
 
 
 @wp.func
-def precondition(solve: Solve, i: int, residual: wp.vec3, iteration: int) -> None:
+def precondition(solve: Solve, part: int, i: int, residual: wp.vec3, iteration: int) -> None:
     """Keep a particle's residual, and add it to the sums over all."""
     solve.residual[i] = residual
     z = solve.inverse[i] * residual
     solve.z[i] = z
-    wp.atomic_add(solve.size, iteration, wp.float64(wp.dot(z, residual)))
+    wp.atomic_add(solve.size, part, iteration, wp.float64(wp.dot(z, residual)))
     own = solve.cell[i]
-    add_to_modes(solve.sums, own, solve.position[i] - solve.center[own], residual)
+    add_to_modes(solve.sums, part, own, solve.position[i] - solve.center[own], residual)
+
+
+@wp.func
+def residual_size(solve: Solve, part: int, iteration: int) -> wp.float64:
+    """Preconditioned square of the whole residual [J]."""
+    total = solve.coarse_size[part, iteration]
+    for other in range(solve.size.shape[0]):
+        total += solve.size[other, iteration]
+    return total
 
 
 @wp.kernel(enable_backward=False)
@@ -39,7 +48,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     scale = 1.0 / wp.trace(diagonal[i])
     solve.inverse[i] = wp.inverse(diagonal[i] * scale) * scale
     solve.change[i] = wp.vec3()
-    precondition(solve, i, solve.residual[i], 0)
+    precondition(solve, awake.part, i, solve.residual[i], 0)
 
 
 @wp.kernel(enable_backward=False)
@@ -49,11 +58,11 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     if i < 0:
         return
     own = solve.cell[i]
-    z = solve.z[i] + prolong(own, solve.position[i] - solve.center[own], solve.modes)
+    z = solve.z[i] + prolong(own, solve.position[i] - solve.center[own], solve.modes, awake.part)
     if iteration > 0:
-        before = solve.size[iteration - 1] + solve.coarse_size[iteration - 1]
+        before = residual_size(solve, awake.part, iteration - 1)
         if before > wp.float64(0.0):
-            now = solve.size[iteration] + solve.coarse_size[iteration]
+            now = residual_size(solve, awake.part, iteration)
             z += solve.direction[i] * float(now / before)
     solve.direction[i] = z
 
@@ -65,11 +74,14 @@ def advance(awake: Awake, iteration: int, solve: Solve) -> None:
     if i < 0:
         return
     length = float(0.0)
-    if solve.curvature[iteration] > wp.float64(0.0):
-        size = solve.size[iteration] + solve.coarse_size[iteration]
-        length = float(size / solve.curvature[iteration])
+    curvature = wp.float64(0.0)
+    for part in range(solve.curvature.shape[0]):
+        curvature += solve.curvature[part, iteration]
+    if curvature > wp.float64(0.0):
+        length = float(residual_size(solve, awake.part, iteration) / curvature)
     solve.change[i] = solve.change[i] + solve.direction[i] * length
-    precondition(solve, i, solve.residual[i] - solve.product[i] * length, iteration + 1)
+    missing = solve.residual[i] - solve.product[i] * length
+    precondition(solve, awake.part, i, missing, iteration + 1)
 
 
 @wp.kernel(enable_backward=False)
@@ -79,7 +91,9 @@ def finish(awake: Awake, solve: Solve, velocity: wp.array[wp.vec3]) -> None:
     if i < 0:
         return
     own = solve.cell[i]
-    whole = solve.change[i] + prolong(own, solve.position[i] - solve.center[own], solve.modes)
+    whole = solve.change[i] + prolong(
+        own, solve.position[i] - solve.center[own], solve.modes, awake.part
+    )
     if not wp.isfinite(whole):
         whole = wp.vec3()
     solve.change[i] = whole
@@ -107,7 +121,8 @@ class ConjugateGradients:
         solve.direction = zero_vectors(count, device)
         solve.inverse = wp.zeros(count, dtype=wp.mat33, device=device)
         for name in ("size", "curvature", "coarse_size"):
-            setattr(solve, name, wp.zeros(iterations + 1, dtype=wp.float64, device=device))
+            shape = (particles.parts, iterations + 1)
+            setattr(solve, name, wp.zeros(shape, dtype=wp.float64, device=device))
         solve.position = particles.position
         self.data = solve
         self.pressure_change = wp.zeros(count, dtype=float, device=device)
@@ -147,9 +162,8 @@ class ConjugateGradients:
         launch = self.particles.launch_blocks if on_cpu else self.particles.launch
         data.cell, data.center = coarse.cell, coarse.center
         data.sums, data.modes = coarse.sums, coarse.modes
-        for sums in (data.size, data.curvature, data.coarse_size):
-            sums.zero_()
-        coarse.sums.zero_()
+        for sums in (data.size, data.curvature, data.coarse_size, data.sums):
+            self.particles.zero(ByPart.rows(sums))
         launch(passes.start, diagonal, data)
         coarse.solve(data.coarse_size, 0)
         for iteration in range(self.iterations):
@@ -161,9 +175,10 @@ class ConjugateGradients:
                 data.direction,
                 self.pressure_change,
                 data.product,
-                data.curvature[iteration : iteration + 1],
+                data.curvature,
+                iteration,
             )
-            coarse.sums.zero_()
+            self.particles.zero(ByPart.rows(data.sums))
             launch(passes.advance, iteration, data)
             coarse.solve(data.coarse_size, iteration + 1)
         launch(passes.finish, data, self.particles.velocity)

@@ -20,11 +20,24 @@ _CELLS = """
     float* __restrict__ preconditioned = (float*)solve.z.data;
     float* __restrict__ directions = (float*)solve.direction.data;
     float* __restrict__ changes = (float*)solve.change.data;
+    const int part = awake.part, parts = solve.size.shape[0];
+    const long long pitch = solve.size.strides[0] / sizeof(double);
+    const float* __restrict__ modes = solve.modes.data + part * solve.modes.shape[1];
+    double* __restrict__ cell_sums = solve.sums.data + part * solve.sums.shape[1];
+    auto over_parts = [&](const double* data, int iteration) {
+        double total = 0.0;
+        for (int k = 0; k < parts; k++) total += data[k * pitch + iteration];
+        return total;
+    };
+    auto residual_size = [&](int iteration) {
+        return over_parts(solve.size.data, iteration)
+            + solve.coarse_size.data[part * pitch + iteration];
+    };
     auto velocity_of_cell = [&](int i, float& x, float& y, float& z)
         __attribute__((always_inline)) {
         const int own = solve.cell.data[i];
         const float* c = centers + 3 * own;
-        const float* m = solve.modes.data + 6 * own;
+        const float* m = modes + 6 * own;
         const float* at = positions + 3 * (long long)i;
         const float ax = at[0] - c[0], ay = at[1] - c[1], az = at[2] - c[2];
         x += m[0] + m[4] * az - m[5] * ay;
@@ -41,7 +54,7 @@ _PRECONDITION = """
     auto put_down = [&]() __attribute__((always_inline)) {
         if (at_hand < 0) return;
         for (int p = 0; p < 6; p++) {
-            solve.sums.data[6 * at_hand + p] += sums[p];
+            cell_sums[6 * at_hand + p] += sums[p];
             sums[p] = 0.0;
         }
     };
@@ -103,7 +116,7 @@ _PRECONDITION = """
 """,
         """
     put_down();
-    solve.size.data[0] += size_sum;
+    solve.size.data[part * pitch] += size_sum;
 """,
     )
 )
@@ -122,9 +135,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
         + """
     float ratio = 0.f;
     if (iteration > 0) {
-        const double before
-            = solve.size.data[iteration - 1] + solve.coarse_size.data[iteration - 1];
-        const double now = solve.size.data[iteration] + solve.coarse_size.data[iteration];
+        const double before = residual_size(iteration - 1), now = residual_size(iteration);
         if (before > 0.0) ratio = (float)(now / before);
     }
 """,
@@ -156,9 +167,8 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
         + _PRECONDITION
         + """
     float length = 0.f;
-    if (solve.curvature.data[iteration] > 0.0)
-        length = (float)((solve.size.data[iteration] + solve.coarse_size.data[iteration])
-            / solve.curvature.data[iteration]);
+    const double curvature = over_parts(solve.curvature.data, iteration);
+    if (curvature > 0.0) length = (float)(residual_size(iteration) / curvature);
 """,
         """
     const float* direction = directions + 3 * (long long)i;
@@ -173,7 +183,7 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
 """,
         """
     put_down();
-    solve.size.data[iteration + 1] += size_sum;
+    solve.size.data[part * pitch + iteration + 1] += size_sum;
 """,
     )
 )

@@ -21,7 +21,7 @@ from .contact_law import (
     settle_all_contacts,
     wake_contacts,
 )
-from .particles import Particles
+from .particles import ByPart, Particles
 from .scene import MeshCollider, Plane, Scene
 
 
@@ -80,12 +80,17 @@ class Contacts:
             for name in ("mesh", "substep", "orientation", "reach", "travel", "clearance"):
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
-        self._near = contact_cpu.make_near(particles.count, device) if device.is_cpu else None
-        self.impulse = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
-        """On each collider in this step [N s]."""
+        self._near = (
+            ByPart(contact_cpu.make_near(particles.count, device) for _ in range(particles.parts))
+            if device.is_cpu
+            else None
+        )
+        shape = (particles.parts, len(self.colliders))
+        self.impulse = wp.zeros(shape, dtype=wp.vec3d, device=device)
+        """By part, on each collider in this step [N s]."""
         self.resting_force = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
         """Of clay that sleeps, on each collider [N]."""
-        self.deepest = wp.zeros(1, dtype=float, device=device)
+        self.deepest = wp.zeros((particles.parts, 1), dtype=float, device=device)
         """How far any particle's ball lay inside a collider in this step [m]."""
 
     @property
@@ -170,6 +175,8 @@ class Contacts:
             common: The substep.
             change: What the last solve changed of the velocities [m/s].
         """
+        if not self.colliders:
+            return
         self._launch(
             (settle_all_contacts, contact_cpu.settle_all_contacts),
             common,
@@ -178,8 +185,8 @@ class Contacts:
             self.particles.velocity,
             change,
             self.slots,
-            self.impulse,
-            self.deepest,
+            ByPart.rows(self.impulse),
+            ByPart.rows(self.deepest),
         )
 
     def _launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
@@ -190,7 +197,8 @@ class Contacts:
         if self._near:
             self.particles.launch_blocks(by_block, *inputs, self._near)
         else:
-            self.particles.launch(plain, *inputs)
+            own = [item[0] if isinstance(item, ByPart) else item for item in inputs]
+            self.particles.launch(plain, *own)
 
     def snapshot(self) -> dict[str, NDArray]:
         """Anchors and what they hold on to, and where meshes stand."""

@@ -14,7 +14,7 @@ from . import neighbors_cpu
 from .awake import Awake, awake_particle
 from .pair_rows import MOST_SLOTS, PairRows, keep_bonds, swap_slots
 from .pairs import Pairs
-from .particles import Particles
+from .particles import ByPart, Particles
 
 _GRID_CELLS = 64
 
@@ -115,8 +115,8 @@ class Neighbors:
         self.listed_position = wp.zeros(count, dtype=wp.vec3, device=device)
         self.needed = wp.zeros(count, dtype=int, device=device)
         """Slots that each row would fill."""
-        self.largest = wp.zeros(1, dtype=float, device=device)
-        """Largest displacement since the rows were filled, squared [m²]."""
+        self.largest = wp.zeros((particles.parts, 1), dtype=float, device=device)
+        """Largest displacement since the rows were filled, squared, by part [m²]."""
         self.overflow = 0
         """Neighbours that found no free slot, since the beginning."""
         self.rebuild_count = 0
@@ -176,15 +176,16 @@ class Neighbors:
 
     def measure(self) -> None:
         """Find how far particles have moved; may be recorded."""
-        inputs = [self.particles.position, self.listed_position, self.largest]
+        inputs = [self.particles.position, self.listed_position]
+        largest = ByPart.rows(self.largest)
         if self._hash_grid:
-            self.particles.launch(measure_displacement, *inputs)
+            self.particles.launch(measure_displacement, *inputs, largest[0])
         else:
-            self.particles.launch_blocks(neighbors_cpu.measure_displacement, *inputs)
+            self.particles.launch_blocks(neighbors_cpu.measure_displacement, *inputs, largest)
 
     def rebuild_if_moved(self) -> None:
         """Refill the rows where a particle has used up its half of the skin."""
-        if self.largest.numpy()[0] > (0.5 * self.skin) ** 2:
+        if self.largest.numpy().max() > (0.5 * self.skin) ** 2:
             self.rebuild()
 
     def snapshot(self) -> dict[str, np.ndarray]:

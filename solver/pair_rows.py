@@ -344,7 +344,8 @@ def multiply_pairs(
     pressure_change: wp.array[float],
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
-    curvature: wp.array[wp.float64],
+    curvature: wp.array2d[wp.float64],
+    iteration: int,
 ) -> None:
     """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
     i = awake_particle(awake, wp.tid())
@@ -360,4 +361,4 @@ def multiply_pairs(
         pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + pressure_change[j])
         total += n * pull
     product[i] = total
-    wp.atomic_add(curvature, 0, wp.float64(wp.dot(total, p)))
+    wp.atomic_add(curvature, awake.part, iteration, wp.float64(wp.dot(total, p)))

@@ -554,7 +554,7 @@ def press_pairs(
     total[2] = z;
     energy += x * px + y * py + z * pz;
 """,
-        "curvature.data[0] += energy;",
+        "curvature.data[awake.part * curvature.shape[1] + iteration] += energy;",
     )
 )
 def multiply_block(
@@ -565,7 +565,8 @@ def multiply_block(
     pressure_change: wp.array[float],
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
-    curvature: wp.array[wp.float64],
+    curvature: wp.array2d[wp.float64],
+    iteration: int,
 ) -> None: ...
 
 
@@ -577,9 +578,18 @@ def multiply_pairs(
     pressure_change: wp.array[float],
     direction: wp.array[wp.vec3],
     product: wp.array[wp.vec3],
-    curvature: wp.array[wp.float64],
+    curvature: wp.array2d[wp.float64],
+    iteration: int,
 ) -> None:
     """`pair_rows.multiply_pairs`."""
     multiply_block(
-        wp.tid(), awake, pairs, own_block, pressure_change, direction, product, curvature
+        wp.tid(),
+        awake,
+        pairs,
+        own_block,
+        pressure_change,
+        direction,
+        product,
+        curvature,
+        iteration,
     )

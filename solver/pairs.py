@@ -139,6 +139,7 @@ class Pairs:
         pressure_change: wp.array,
         product: wp.array,
         curvature: wp.array,
+        iteration: int,
     ) -> None:
         """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
 
@@ -149,7 +150,8 @@ class Pairs:
             direction: What to multiply [m/s].
             pressure_change: Room for work.
             product: The product [N s].
-            curvature: Direction times product is added to it [J].
+            curvature: Direction times product is added to it, by part and iteration [J].
+            iteration: Which.
         """
         particles = self.particles
         self._launch(
@@ -169,6 +171,7 @@ class Pairs:
             direction,
             product,
             curvature,
+            iteration,
         )
 
     def flow(self, clay: Clay, pair_laws: wp.array) -> None:

@@ -251,8 +251,8 @@ class PaperContacts:
                 particles.mass,
                 displacement,
                 self.slots,
-                self.contacts.impulse,
-                self.contacts.deepest,
+                self.contacts.impulse[0],
+                self.contacts.deepest[0],
             ],
             device=self.device,
         )

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The particles of a scene on the device, which of them are awake, and how they fall and move."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -65,6 +69,19 @@ def zero_vectors(count: int, device: wp.Device) -> wp.array:
     return wp.zeros(count + 1, dtype=wp.vec3, device=device)[:count]
 
 
+class ByPart(list[Any]):
+    """Something that each part of the particles has its own of."""
+
+    @classmethod
+    def rows(cls, array: wp.array) -> ByPart:
+        """The rows of an array, one for each part."""
+        return cls([array[part] for part in range(array.shape[0])])
+
+
+SMALL = 1024
+"""Fewer particles than this are not worth dividing among threads."""
+
+
 class Particles:
     """What every clay model works on.
 
@@ -76,6 +93,8 @@ class Particles:
     def __init__(self, scene: Scene, device: wp.Device) -> None:
         self.device = device
         self.count = scene.particle_count
+        self.parts = 2 if device.is_cpu and self.count >= SMALL else 1
+        """Parts that passes by block work on, one after the other or side by side."""
         self.spacing = scene.spacing
         self.gravity = scene.gravity
         self.materials, indices = scene.materials()
@@ -96,13 +115,21 @@ class Particles:
         self.velocity_free = wp.zeros(self.count, dtype=wp.vec3, device=device)
         """Velocities that nothing but gravity has changed in this substep [m/s]."""
         self.speed_limit = wp.zeros(1, dtype=float, device=device)
-        self.clamped = wp.zeros(1, dtype=int, device=device)
-        self.quarantined = wp.zeros(1, dtype=int, device=device)
+        self.clamped = wp.zeros((self.parts, 1), dtype=int, device=device)
+        """Particles that were held to the speed limit, by part."""
+        self.quarantined = wp.zeros((self.parts, 1), dtype=int, device=device)
+        """Particles whose state was not finite, by part."""
         self.awake = Awake()
         self.awake.count = wp.full(1, self.count, dtype=int, device=device)
         self.awake.index = wp.array(np.arange(self.count), dtype=int, device=device)
+        self.awake.part = 0
         self.threads = self.count
         """Threads in a pass: at least as many as particles are awake."""
+        self.part: int | None = None
+        """The only part to launch passes for, while they are recorded for one thread."""
+        self._barrier = wp.zeros(64, dtype=int, device=device)
+        self._shares = [self._make_share(part) for part in range(self.parts)]
+        self._divide(np.arange(self.count))
         self.resting = wp.zeros(self.count, dtype=int, device=device)
         """1 for a particle that sleeps."""
         self.awake_box = self.box()
@@ -114,6 +141,7 @@ class Particles:
         Args:
             index: Which, ascending.
         """
+        self._divide(index)
         padded = np.zeros(self.count, np.int32)
         padded[: len(index)] = index
         self.awake.index.assign(padded)
@@ -129,10 +157,56 @@ class Particles:
         """Run a pass over the particles that are awake; ``Awake`` is its first argument."""
         wp.launch(kernel, dim=self.threads, inputs=[self.awake, *inputs], device=self.device)
 
+    @contextmanager
+    def only(self, part: int | None) -> Iterator[None]:
+        """Launch passes for one part alone, which wait for those of the others."""
+        self.part = part
+        try:
+            yield
+        finally:
+            self.part = None
+
+    def _make_share(self, part: int) -> Awake:
+        share = Awake()
+        share.count = wp.zeros(1, dtype=int, device=self.device)
+        share.index = wp.zeros(self.count, dtype=int, device=self.device)
+        share.part = part
+        return share
+
+    def _divide(self, index: NDArray[np.int64]) -> None:
+        """Give each part as many of the particles, in their order."""
+        for share, own in zip(self._shares, np.array_split(index, self.parts), strict=True):
+            padded = np.zeros(self.count, np.int32)
+            padded[: len(own)] = own
+            share.index.assign(padded)
+            share.count.fill_(len(own))
+
     def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
-        """Run a pass whose threads take a block of particles each."""
-        blocks = (self.threads + BLOCK - 1) // BLOCK
-        wp.launch(kernel, dim=blocks, inputs=[self.awake, *inputs], device=self.device)
+        """Run a pass whose threads take a block of particles each.
+
+        Of an input that is `ByPart`, each part gets its own.
+        """
+        blocks = (-(-self.threads // self.parts) + BLOCK) // BLOCK
+        self._launch_by_part(kernel, blocks, [ByPart(self._shares), *inputs])
+
+    def launch_once(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """Run a pass of one thread; each part does it for itself."""
+        self._launch_by_part(kernel, 1, list(inputs), wait=False)
+
+    def _launch_by_part(
+        self, kernel: wp.Kernel, dim: int, inputs: list[Any], *, wait: bool = True
+    ) -> None:
+        for part in range(self.parts) if self.part is None else (self.part,):
+            own = [item[part] if isinstance(item, ByPart) else item for item in inputs]
+            wp.launch(kernel, dim=dim, inputs=own, device=self.device)
+        if self.part is not None and wait:
+            meeting = [self._barrier, self.parts]
+            wp.launch(particles_cpu.wait_for_others, dim=1, inputs=meeting, device=self.device)
+
+    def zero(self, sums: ByPart) -> None:
+        """Set to zero what each part sums up."""
+        for part in range(self.parts) if self.part is None else (self.part,):
+            sums[part].zero_()
 
     def fall_freely(self, time_step: float, time_step_before: float) -> None:
         """Set ``velocity_free``.
@@ -141,11 +215,12 @@ class Particles:
         free fall is exact whatever the substeps (leapfrog).
         """
         kick = wp.vec3(*self.gravity) * (0.5 * (time_step + time_step_before))
-        inputs = [kick, self.velocity, self.velocity_free, self.quarantined]
+        quarantined = ByPart.rows(self.quarantined)
+        inputs: list[Any] = [kick, self.velocity, self.velocity_free, quarantined]
         if self.device.is_cpu:
             self.launch_blocks(particles_cpu.fall_freely, *inputs)
         else:
-            self.launch(fall_freely, *inputs)
+            self.launch(fall_freely, *inputs[:-1], quarantined[0])
 
     def move(self, time_step: float) -> None:
         """Move with the velocities, no faster than the speed limit."""
@@ -154,13 +229,12 @@ class Particles:
             self.velocity,
             self.position,
             self.speed_limit,
-            self.clamped,
-            self.quarantined,
         ]
+        counts = [ByPart.rows(self.clamped), ByPart.rows(self.quarantined)]
         if self.device.is_cpu:
-            self.launch_blocks(particles_cpu.move, *inputs)
+            self.launch_blocks(particles_cpu.move, *inputs, *counts)
         else:
-            self.launch(move, *inputs)
+            self.launch(move, *inputs, *(count[0] for count in counts))
 
     def fastest(self) -> float:
         """Speed of the fastest particle [m/s]."""
@@ -175,7 +249,7 @@ class Particles:
 
     def snapshot(self) -> dict[str, NDArray]:
         """Positions, velocities and counts."""
-        counts = [int(self.clamped.numpy()[0]), int(self.quarantined.numpy()[0])]
+        counts = [self.clamped.numpy().ravel(), self.quarantined.numpy().ravel()]
         return {
             "position": self.position.numpy().copy(),
             "velocity": self.velocity.numpy().copy(),
@@ -186,6 +260,6 @@ class Particles:
         """Take up the state that `snapshot` gave."""
         self.position.assign(state["position"])
         self.velocity.assign(state["velocity"])
-        clamped, quarantined = (int(n) for n in state["particle_faults"])
-        self.clamped.fill_(clamped)
-        self.quarantined.fill_(quarantined)
+        clamped, quarantined = state["particle_faults"]
+        self.clamped.assign(clamped.reshape(-1, 1))
+        self.quarantined.assign(quarantined.reshape(-1, 1))

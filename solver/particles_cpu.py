@@ -109,3 +109,35 @@ def move(
 ) -> None:
     """`particles.move`."""
     move_block(wp.tid(), awake, time_step, velocity, position, speed_limit, clamped, quarantined)
+
+
+# Threads wait a moment for each other, then let others have the processor: the one waited for may
+# be waiting for it.
+@wp.func_native("""{
+#if defined(__linux__) || defined(__APPLE__)
+    int yield_processor(void) __asm__("sched_yield");
+#else
+    auto yield_processor = []() {};
+#endif
+    int* arrived = counter.data;
+    int* round = counter.data + 32;
+    const int now = __atomic_load_n(round, __ATOMIC_ACQUIRE);
+    if (__atomic_add_fetch(arrived, 1, __ATOMIC_ACQ_REL) == parts) {
+        __atomic_store_n(arrived, 0, __ATOMIC_RELAXED);
+        __atomic_store_n(round, now + 1, __ATOMIC_RELEASE);
+        return;
+    }
+    for (int turn = 0; __atomic_load_n(round, __ATOMIC_ACQUIRE) == now; turn++) {
+#if defined(__x86_64__)
+        __builtin_ia32_pause();
+#endif
+        if (turn > 1000) yield_processor();
+    }
+}""")
+def wait(counter: wp.array[int], parts: int) -> None: ...
+
+
+@wp.kernel(enable_backward=False)
+def wait_for_others(counter: wp.array[int], parts: int) -> None:
+    """Wait until the threads of all parts have come here."""
+    wait(counter, parts)

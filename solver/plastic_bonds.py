@@ -82,7 +82,7 @@ class PlasticBonds:
         self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
         self.gradients = ConjugateGradients(particles, settings.iterations)
         self.coarse = CoarseSpace(particles)
-        self._recordings = Recordings(device)
+        self._recordings = Recordings(particles)
         self._laws: dict[float, tuple[Clay, wp.array]] = {}
         if count:
             self.neighbors.rebuild()

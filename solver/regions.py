@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import regions_cpu
 from .awake import Awake, awake_particle
-from .particles import Particles
+from .particles import ByPart, Particles
 
 EDGE = 8.0
 """Edge of a region, in spacings."""
@@ -110,13 +110,17 @@ class Regions:
         self.asleep[region[self._awake]] = False
         self.quiet = np.zeros(count)
         self.travel = np.zeros(count)
-        self.measures = wp.zeros((count, 7), dtype=float, device=particles.device)
+        self.measures = self._make_measures(count)
         self.boxes = np.zeros((count, 2, 3))
         self.speed = np.zeros(count)
         self._way = 0.0
         self._measure_sleeping(region)
         self.measure(0.0)
         return np.flatnonzero(~self._awake & ~self.asleep[region])
+
+    def _make_measures(self, regions: int) -> wp.array:
+        shape = (self.particles.parts, regions, 7)
+        return wp.zeros(shape, dtype=float, device=self.particles.device)
 
     def _measure_sleeping(self, region: NDArray[np.int32]) -> None:
         """Measure the boxes of regions that sleep: nothing in them moves."""
@@ -146,13 +150,13 @@ class Regions:
             self.particles.position,
             self.particles.velocity,
             self.region,
-            self.measures,
         ]
+        own = ByPart.rows(self.measures)
         if self.particles.device.is_cpu:
-            self.particles.launch_blocks(regions_cpu.measure_regions, *inputs)
+            self.particles.launch_blocks(regions_cpu.measure_regions, *inputs, own)
         else:
-            self.particles.launch(measure_regions, *inputs)
-        measures = self.measures.numpy()
+            self.particles.launch(measure_regions, *inputs, own[0])
+        measures = self.measures.numpy().max(0)
         awake = ~self.asleep
         self.boxes[awake, 1] = measures[awake, :3]
         self.boxes[awake, 0] = -measures[awake, 3:6]
@@ -252,6 +256,6 @@ class Regions:
             setattr(self, name, state[f"region_{name}"].copy())
         self._way = float(state["region_way"][0])
         count = len(self.asleep)
-        self.measures = wp.zeros((count, 7), dtype=float, device=self.particles.device)
+        self.measures = self._make_measures(count)
         self.particles.set_awake(np.flatnonzero(self._awake))
         self._find_awake_box()

@@ -18,16 +18,16 @@ class Solve:
     product: wp.array[wp.vec3]
     change: wp.array[wp.vec3]
     """What the solve changes of the velocities [m/s]."""
-    size: wp.array[wp.float64]
-    """Preconditioned square of the residual by iteration [J], its coarse part left out."""
-    curvature: wp.array[wp.float64]
-    """Energy of the direction by iteration [J]."""
+    size: wp.array2d[wp.float64]
+    """Preconditioned square of the residual by part and iteration [J], without its coarse part."""
+    curvature: wp.array2d[wp.float64]
+    """Energy of the direction by part and iteration [J]."""
     position: wp.array[wp.vec3]
     cell: wp.array[int]
     center: wp.array[wp.vec3]
-    sums: wp.array[wp.float64]
-    """The residual restricted to the coarse modes."""
-    modes: wp.array[float]
-    """Motions of the coarse cells."""
-    coarse_size: wp.array[wp.float64]
-    """The coarse part of the residual's square by iteration [J]."""
+    sums: wp.array2d[wp.float64]
+    """The residual restricted to the coarse modes, by part."""
+    modes: wp.array2d[float]
+    """Motions of the coarse cells; each part has its own copy."""
+    coarse_size: wp.array2d[wp.float64]
+    """The coarse part of the residual's square by iteration [J]; each part has its own copy."""

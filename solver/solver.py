@@ -221,7 +221,7 @@ class Solver:
         """
         for which, known in enumerate(self._contacts.colliders):
             if known is collider:
-                moving = self._contacts.impulse.numpy()[which] / self._duration
+                moving = self._contacts.impulse.numpy().sum(0)[which] / self._duration
                 return moving + self._contacts.resting_force.numpy()[which]
         raise ValueError("That collider is not in the scene this solver was built from.")
 
@@ -239,11 +239,11 @@ class Solver:
             awake=int(self._particles.awake.count.numpy()[0]),
             substeps=self._substeps,
             volume_error=compression,
-            max_penetration=float(self._contacts.deepest.numpy()[0]),
+            max_penetration=float(self._contacts.deepest.numpy().max()),
             max_speed=speed,
-            clamped=int(self._particles.clamped.numpy()[0]),
+            clamped=int(self._particles.clamped.numpy().sum()),
             overflow=self._model.overflow,
-            quarantined=int(self._particles.quarantined.numpy()[0]),
+            quarantined=int(self._particles.quarantined.numpy().sum()),
             teleported=self._teleported,
         )
 

@@ -26,6 +26,7 @@ from tactile_clay.solver import (
     particles,
     particles_cpu,
 )
+from tactile_clay.solver.particles import ByPart
 from tactile_clay.solver.plastic_bonds import PlasticBonds
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
@@ -100,6 +101,13 @@ def acting(model: PlasticBonds, name: str) -> Callable[[], NDArray]:
 def per_particle(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
     """Read whole arrays."""
     return {str(number): array.numpy for number, array in enumerate(arrays)}
+
+
+def over_parts(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
+    """Read sums over all parts of the particles."""
+    return {
+        f"sum {number}": lambda a=array: a.numpy().sum(0) for number, array in enumerate(arrays)
+    }
 
 
 LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next", "other")
@@ -189,14 +197,14 @@ def test_products_are_the_same(pressed: PlasticBonds):
         press = [pressed.bodies, body.material, STEP, pressed.pairs.rows, solve.direction, pressure]
         launch(module.press_pairs, *press)  # type: ignore[attr-defined]
         inputs = [pressed.pairs.rows, pressed.own_block, pressure, solve.direction, solve.product]
-        launch(module.multiply_pairs, *inputs, solve.curvature)  # type: ignore[attr-defined]
+        launch(module.multiply_pairs, *inputs, solve.curvature, 0)  # type: ignore[attr-defined]
 
     compare(
         pressed,
         lambda: multiply(pair_rows, body.launch),
         lambda: multiply(pair_rows_cpu, body.launch_blocks),
         [],
-        per_particle(pressure, solve.product, solve.curvature),
+        per_particle(pressure, solve.product) | over_parts(solve.curvature),
     )
 
 
@@ -209,9 +217,13 @@ def test_conjugate_gradients_go_the_same_way(pressed: PlasticBonds, name: str):
     generator = np.random.default_rng(4)
     for array in (solve.residual, solve.z, solve.direction, solve.product, solve.change):
         array.assign(generator.normal(size=(body.count, 3)).astype(np.float32))
-    solve.modes.assign(generator.normal(size=len(solve.modes)).astype(np.float32))
-    for sums in (solve.size, solve.curvature, solve.coarse_size):
-        sums.assign(generator.uniform(1.0, 2.0, len(sums)))
+    copies = solve.modes.shape[0]
+    assert copies == 2
+    modes = generator.normal(size=solve.modes.shape[1]).astype(np.float32)
+    solve.modes.assign(np.stack([modes] * copies))
+    solve.coarse_size.assign(np.stack([generator.uniform(1.0, 2.0, 3)] * copies))
+    for sums in (solve.size, solve.curvature):
+        sums.assign(generator.uniform(1.0, 2.0, sums.shape))
     inputs = {
         "start": [pressed.diagonal, solve],
         "turn": [1, solve],
@@ -226,7 +238,7 @@ def test_conjugate_gradients_go_the_same_way(pressed: PlasticBonds, name: str):
         lambda: body.launch(getattr(conjugate_gradients, name), *inputs),
         lambda: body.launch_blocks(getattr(conjugate_gradients_cpu, name), *inputs),
         [*vectors, solve.sums, solve.size],
-        per_particle(*vectors, solve.inverse, solve.sums, solve.size),
+        per_particle(*vectors, solve.inverse) | over_parts(solve.sums, solve.size),
         tolerance=2e-5,
     )
 
@@ -234,7 +246,7 @@ def test_conjugate_gradients_go_the_same_way(pressed: PlasticBonds, name: str):
 def test_coarse_matrix_is_the_galerkin_one(pressed: PlasticBonds):
     """Sum, on both ways, the matrix that the particles' tangent has on the coarse modes."""
     body, coarse, rows = pressed.particles, pressed.coarse, pressed.pairs.rows
-    inputs = [coarse.cell, coarse.center, body.position, pressed.own_block, rows, coarse.matrix]
+    inputs = [coarse.cell, coarse.center, body.position, pressed.own_block, rows]
     size = int(coarse.size.numpy()[0])
     center = coarse.center.numpy()[: size // 6]
     cell, arm = coarse.cell.numpy(), body.position.numpy() - center[coarse.cell.numpy()]
@@ -260,8 +272,9 @@ def test_coarse_matrix_is_the_galerkin_one(pressed: PlasticBonds):
         (coarse_space_cpu.assemble, body.launch_blocks),
     ):
         coarse.matrix.zero_()
-        launch(kernel, *inputs)
-        joined = coarse_space.join_blocks(coarse.matrix.numpy(), center)
+        by_part = ByPart.rows(coarse.matrix)
+        launch(kernel, *inputs, by_part[0] if kernel is coarse_modes.assemble else by_part)
+        joined = coarse_space.join_blocks(coarse.matrix.numpy().sum(0), center)
         np.testing.assert_allclose(joined / scale, expected / scale, atol=1e-4)
 
 
@@ -270,19 +283,21 @@ def test_coarse_solve_is_exact(pressed: PlasticBonds):
     coarse = pressed.coarse
     coarse.assemble(pressed.own_block, pressed.pairs)
     size = int(coarse.size.numpy()[0])
-    matrix = coarse_space.join_blocks(coarse.matrix.numpy(), coarse.center.numpy()[: size // 6])
+    summed = coarse.matrix.numpy().sum(0)
+    matrix = coarse_space.join_blocks(summed, coarse.center.numpy()[: size // 6])
     matrix[np.diag_indices(size)] += np.tile(coarse.ridge, size // 6)
     # An impulse on every cell, with a turn that fits the cell's size.
     sums = np.random.default_rng(5).normal(size=size) * np.sqrt(np.diag(matrix))
-    padded = np.zeros(len(coarse.sums))
-    padded[:size] = sums
+    padded = np.zeros(coarse.sums.shape)
+    padded[:, :size] = 0.25 * sums, 0.75 * sums
     coarse.sums.assign(padded)
-    energy = wp.zeros(1, dtype=wp.float64, device="cpu")
+    energy = wp.zeros((2, 1), dtype=wp.float64, device="cpu")
     coarse.solve(energy, 0)
-    expected = np.linalg.solve(matrix, padded[:size])
+    expected = np.linalg.solve(matrix, sums)
     scale = np.sqrt(np.diag(matrix))
-    np.testing.assert_allclose(coarse.modes.numpy()[:size] * scale, expected * scale, rtol=1e-4)
-    assert energy.numpy()[0] == pytest.approx(float(expected @ padded[:size]), rel=1e-5)
+    for modes in coarse.modes.numpy():
+        np.testing.assert_allclose(modes[:size] * scale, expected * scale, rtol=1e-4)
+    np.testing.assert_allclose(energy.numpy(), float(expected @ sums), rtol=1e-5)
 
 
 def test_contacts_are_found_the_same(pressed: PlasticBonds):
@@ -311,25 +326,24 @@ def test_particles_fall_and_move_the_same(pressed: PlasticBonds):
     velocity[9, 1] = np.inf
     kept = body.velocity.numpy().copy()
     body.velocity.assign(velocity)
-    limits = [body.speed_limit, body.clamped, body.quarantined]
     kick = wp.vec3(0.0, 0.0, -0.04)
 
     def run(module: object, launch: Callable[..., None]) -> None:
-        launch(
-            module.fall_freely,  # type: ignore[attr-defined]
-            kick,
-            body.velocity,
-            body.velocity_free,
-            body.quarantined,
-        )
-        launch(module.move, STEP, body.velocity, body.position, *limits)  # type: ignore[attr-defined]
+        counts = [ByPart.rows(body.clamped), ByPart.rows(body.quarantined)]
+        if module is particles:
+            counts = [own[0] for own in counts]
+        motion = [body.velocity, body.velocity_free]
+        launch(module.fall_freely, kick, *motion, counts[1])  # type: ignore[attr-defined]
+        moved = [body.velocity, body.position, body.speed_limit]
+        launch(module.move, STEP, *moved, *counts)  # type: ignore[attr-defined]
 
     compare(
         pressed,
         lambda: run(particles, body.launch),
         lambda: run(particles_cpu, body.launch_blocks),
         [body.position, body.velocity, body.clamped, body.quarantined],
-        per_particle(body.position, body.velocity, body.velocity_free, *limits[1:]),
+        per_particle(body.position, body.velocity, body.velocity_free)
+        | over_parts(body.clamped, body.quarantined),
         tolerance=1e-6,
     )
     body.velocity.assign(kept)
@@ -351,6 +365,7 @@ def test_tangent_is_symmetric_and_positive(pressed: PlasticBonds):
             pressed.gradients.pressure_change,
             solve.product,
             solve.curvature,
+            0,
         )
         products.append(solve.product.numpy().astype(float))
     one_two = float((vectors[0] * products[1]).sum())

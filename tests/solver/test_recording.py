@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable
 import numpy as np
 import pytest
 
-from tactile_clay.solver import Material, Scene, Solver
+from tactile_clay.solver import Material, Scene, Solver, recording
 from tactile_clay.solver.recording import Recordings
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
@@ -39,3 +39,23 @@ def test_replayed_passes_give_the_bits_of_launched_ones(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(Recordings, "run", launch_plainly)
     np.testing.assert_array_equal(replayed, scatter())
+
+
+def test_two_threads_give_the_bits_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the same bits whether one thread works or two, through trials of both."""
+    results = []
+    for threads in (1, 2):
+        monkeypatch.setattr(recording, "_processors", lambda count=threads: count)
+        monkeypatch.setattr(recording, "TRIAL_INTERVAL", 16)
+        scene = Scene(SPACING)
+        scene.add_clay(block(12, SPACING), Material())
+        scene.add_plane()
+        sphere = ball(0.01)
+        tool = scene.add_mesh(sphere.vertices, sphere.faces)
+        tool.set_pose(at(0, 0, 0.071))
+        solver = Solver(scene)
+        for frame in range(12):
+            tool.set_pose(at(0, 0, 0.071 - 0.001 * frame))
+            solver.step(1 / 60)
+        results.append(solver.positions())
+    np.testing.assert_array_equal(*results)
