@@ -30,8 +30,9 @@ class Material:
     [Pa·sⁿ]: the shear stress of flowing clay is τ_y + K γ̇ⁿ (Herschel and Bulkley 1926)."""
     flow_index: float = 1.0
     """Power n of the strain rate: 1 for a Bingham material, below 1 where flow thins it."""
-    shear_modulus: float = 1e5
-    """Elastic shear modulus below the yield stress [Pa]."""
+    shear_modulus: float = 2.5e5
+    """Elastic shear modulus below the yield stress [Pa]. Real clay has 50 to 300 times its yield
+    stress; a dent of mean pressure 6 τ_y springs back by some 3 τ_y / G of the tool's radius."""
     friction: float = 0.5
     """Coulomb friction coefficient; a contact takes the geometric mean of clay and collider."""
     cohesion: float | None = None

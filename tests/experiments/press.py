@@ -21,6 +21,8 @@ class Press:
     """A third of a second later [N]."""
     theory: tuple[float, float]
     """5.7 to 6.05 τ_y A, slip-line theory of a round punch [N]."""
+    viscous: float
+    """What viscosity adds while it moves: 8 η a v, a round punch on a Newtonian fluid [N]."""
     dent_pressed: float
     """Depth under the sphere while it is held [m]."""
     dent_left: float
@@ -93,6 +95,7 @@ def press(
         force_moving=moving,
         force_held=held,
         theory=(5.7 * material.yield_stress * area, 6.05 * material.yield_stress * area),
+        viscous=8.0 * material.viscosity * math.sqrt(area / math.pi) * speed,
         dent_pressed=dent_pressed,
         dent_left=sink(),
         compression_pressed=pressed,

@@ -41,6 +41,7 @@ def slump(
         density=DENSITY,
         yield_stress=yield_ratio * DENSITY * GRAVITY * height,
         viscosity=20.0,
+        shear_modulus=1e5,
         friction=1.0,
     )
     scene = Scene(spacing)

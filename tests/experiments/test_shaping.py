@@ -18,14 +18,14 @@ def pressed() -> Press:
 def test_dent_stays(pressed: Press):
     """Keep the larger part of a 12 mm dent."""
     assert pressed.dent_pressed > 0.010
-    assert pressed.spring_back < 0.45
+    assert pressed.spring_back < 0.15
 
 
 def test_press_force_is_that_of_plastic_clay(pressed: Press):
-    """Push back with the force of slip-line theory, to a third."""
+    """Push back with the force of slip-line theory, to a quarter and a bit."""
     low, high = pressed.theory
-    assert 0.65 * low < pressed.force_moving < 1.35 * high
-    assert 0.55 * low < pressed.force_held < 1.15 * high
+    assert 0.75 * low < pressed.force_moving - pressed.viscous < 1.3 * high
+    assert 0.75 * low < pressed.force_held < 1.25 * high
 
 
 def test_volume_comes_back_after_a_press(pressed: Press):
@@ -41,8 +41,8 @@ def test_nothing_enters_the_tool(pressed: Press):
 
 def test_force_grows_with_yield_stress():
     """Push back twice as hard at twice the yield stress, to a quarter."""
-    soft = press(0.006, material=Material(yield_stress=1e3, viscosity=20.0))
-    firm = press(0.006, material=Material(yield_stress=2e3, viscosity=20.0))
+    soft = press(0.006, material=Material(yield_stress=1e3, viscosity=5.0, shear_modulus=5e4))
+    firm = press(0.006, material=Material(yield_stress=2e3, viscosity=5.0, shear_modulus=1e5))
     assert firm.force_held / soft.force_held == pytest.approx(2.0, rel=0.25)
 
 

@@ -105,9 +105,11 @@ def per_particle(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
 
 def over_parts(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
     """Read sums over all parts of the particles."""
-    return {
-        f"sum {number}": lambda a=array: a.numpy().sum(0) for number, array in enumerate(arrays)
-    }
+
+    def reader(array: wp.array) -> Callable[[], NDArray]:
+        return lambda: array.numpy().sum(0)
+
+    return {f"sum {number}": reader(array) for number, array in enumerate(arrays)}
 
 
 LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next", "other")

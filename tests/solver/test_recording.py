@@ -58,4 +58,4 @@ def test_two_threads_give_the_bits_of_one(monkeypatch: pytest.MonkeyPatch) -> No
             tool.set_pose(at(0, 0, 0.071 - 0.001 * frame))
             solver.step(1 / 60)
         results.append(solver.positions())
-    np.testing.assert_array_equal(*results)
+    np.testing.assert_array_equal(results[0], results[1])
