@@ -110,12 +110,7 @@ class MeshColliders:
         self.moving: list[_MovingMesh] = []
         for collider in colliders:
             shape = _shape_of(collider, None)
-            mesh = wp.Mesh(
-                points=wp.array(shape.vertices, dtype=wp.vec3, device=device),
-                indices=wp.array(collider.faces.ravel(), dtype=int, device=device),
-                velocities=wp.zeros(len(shape.vertices), dtype=wp.vec3, device=device),
-                support_winding_number=True,
-            )
+            mesh = _make_mesh(collider, shape, device)
             self.moving.append(_MovingMesh(collider, mesh, shape))
         count = len(colliders)
         self.mesh = wp.array([m.mesh.id for m in self.moving], dtype=wp.uint64, device=device)
@@ -130,6 +125,9 @@ class MeshColliders:
         """Which of a step's substeps is under way; on the device, so that it can be recorded."""
         self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
         self._targets: list[_Shape] = []
+
+    def _tell_meshes(self) -> None:
+        self.mesh.assign(np.array([m.mesh.id for m in self.moving], np.uint64))
 
     def farthest_motion(self, ignored: float) -> tuple[list[float], list[NDArray[np.float64]]]:
         """How far any vertex of each collider is going to move in this step, and where.
@@ -177,6 +175,9 @@ class MeshColliders:
                 row = self.clearance.numpy()
                 row[which] = 0.0
                 self.clearance.assign(row)
+            if target.orientation != moving.shape.orientation:
+                moving.mesh = _make_mesh(moving.collider, target, self.device)
+                self._tell_meshes()
             poses[which] = _way(before, target, substeps)
             if target.vertices is not before.vertices:
                 moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
@@ -245,11 +246,21 @@ class MeshColliders:
                 -1,
             )
             moving.start = moving.end = None
-            moving.mesh.velocities.zero_()
-            moving.mesh.points.assign(vertices.astype(np.float32))
-            moving.mesh.refit()
+            moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
+        self._tell_meshes()
         orientations = [m.shape.orientation for m in self.moving]
         self.orientation.assign(np.array(orientations, np.float32))
+
+
+def _make_mesh(collider: MeshCollider, shape: _Shape, device: wp.Device) -> wp.Mesh:
+    """The mesh on the device; a mirrored one is turned outside out again."""
+    faces = collider.faces if shape.orientation > 0.0 else collider.faces[:, ::-1]
+    return wp.Mesh(
+        points=wp.array(shape.vertices, dtype=wp.vec3, device=device),
+        indices=wp.array(np.ascontiguousarray(faces).ravel(), dtype=int, device=device),
+        velocities=wp.zeros(len(shape.vertices), dtype=wp.vec3, device=device),
+        support_winding_number=True,
+    )
 
 
 def _way(start: _Shape, end: _Shape, substeps: int) -> NDArray[np.float32]:

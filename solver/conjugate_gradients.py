@@ -108,12 +108,11 @@ class ConjugateGradients:
 
     Args:
         particles: Whose velocities to solve for.
-        iterations: How many.
+        most_iterations: How many there are at most.
     """
 
-    def __init__(self, particles: Particles, iterations: int) -> None:
+    def __init__(self, particles: Particles, most_iterations: int) -> None:
         self.particles = particles
-        self.iterations = iterations
         count, device = particles.count, particles.device
         solve = Solve()
         for name in ("residual", "z", "product", "change"):
@@ -121,7 +120,7 @@ class ConjugateGradients:
         solve.direction = zero_vectors(count, device)
         solve.inverse = wp.zeros(count, dtype=wp.mat33, device=device)
         for name in ("size", "curvature", "coarse_size"):
-            shape = (particles.parts, iterations + 1)
+            shape = (particles.parts, most_iterations + 1)
             setattr(solve, name, wp.zeros(shape, dtype=wp.float64, device=device))
         solve.position = particles.position
         self.data = solve
@@ -139,6 +138,7 @@ class ConjugateGradients:
 
     def solve(
         self,
+        iterations: int,
         clay: Clay,
         bodies: wp.array,
         pairs: Pairs,
@@ -149,6 +149,7 @@ class ConjugateGradients:
         """Change velocities so that the residual impulse goes to zero.
 
         Args:
+            iterations: How many.
             clay: What all pairs share.
             bodies: What particles of each material have of their own.
             pairs: The acting pairs with their tangent.
@@ -166,7 +167,7 @@ class ConjugateGradients:
             self.particles.zero(ByPart.rows(sums))
         launch(passes.start, diagonal, data)
         coarse.solve(data.coarse_size, 0)
-        for iteration in range(self.iterations):
+        for iteration in range(iterations):
             launch(passes.turn, iteration, data)
             pairs.multiply(
                 clay,

@@ -111,8 +111,6 @@ class Surroundings:
     """Of each mesh, by substep."""
     substep: wp.array[int]
     """Which of a step's substeps is under way; on the device, so that it can be recorded."""
-    orientation: wp.array[float]
-    """-1 for a mesh that its pose mirrors."""
     reach: wp.array[float]
     """How far off a mesh is looked for [m]."""
     travel: wp.array[float]
@@ -197,8 +195,7 @@ def find_contacts(
             if apart > 1.0e-4 * common.radius:
                 normal = offset * (sign / apart)
             else:
-                face_normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
-                normal = face_normal * around.orientation[which]
+                normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
             normal = wp.transform_vector(after, normal)
             drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
             surface_motion = wp.transform_point(after, nearest) - wp.transform_point(

@@ -41,6 +41,10 @@ def update_velocity(
     velocity[i] = displacement[i] / time_step
 
 
+ITERATIONS = 4
+"""Relaxation iterations in a substep, where the settings do not say."""
+
+
 class PaperModel:
     """Position-based clay: density, viscosity, elastoplasticity and contact as constraints.
 
@@ -127,7 +131,7 @@ class PaperModel:
         if self.bonds:
             self.bonds.begin_substep(self.neighbors.rows, time_step)
         rows, support = self.neighbors.rows, self.neighbors.support
-        for _iteration in range(self.settings.iterations):
+        for _iteration in range(self.settings.iterations or ITERATIONS):
             # Viscosity sees no displacement but motion only while density and distance
             # constraints have not begun to pull against each other: after them it feeds on that.
             if self.viscosity:

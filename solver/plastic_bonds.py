@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The default clay: bonds that yield by stress, solved for implicitly."""
 
+import math
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -24,12 +26,17 @@ from .pairs import Pairs
 from .particles import Particles
 from .recording import Recordings
 from .settings import Settings
+from .time_steps import BASE_STEP
 
 SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
 MOST_LAWS = 64
 """Lengths of substep whose laws are kept."""
 _BY_PARTICLE = ("dilation", "share", "compression")
+ITERATIONS_PER_REACH = 0.6
+"""Iterations for each spacing that a shear wave runs in a substep."""
+FEWEST_ITERATIONS = 3
+MOST_ITERATIONS = 40
 NEWTON_STEPS = 2
 """Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
 
@@ -80,7 +87,9 @@ class PlasticBonds:
         self.pairs = Pairs(particles)
         # Bonds stay listed however long they are; only those still to form must be found.
         self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
-        self.gradients = ConjugateGradients(particles, settings.iterations)
+        self.gradients = ConjugateGradients(
+            particles, self._iterations(BASE_STEP / settings.substeps)
+        )
         self.coarse = CoarseSpace(particles)
         self._recordings = Recordings(particles)
         self._laws: dict[float, tuple[Clay, wp.array]] = {}
@@ -136,6 +145,18 @@ class PlasticBonds:
         self.coarse.invert()
         self._recordings.run((*key, "close"), lambda: self._close(substep))
 
+    def _iterations(self, time_step: float) -> int:
+        """Iterations for substeps of ``time_step`` [s]; shorter ones need no more.
+
+        What neighbours must pass on grows with the square root of stiffness over inertia; beyond
+        the size of a coarse cell, the coarse space passes it on.
+        """
+        if self.settings.iterations is not None:
+            return self.settings.iterations
+        stiffest = max((m.shear_modulus / m.density for m in self.particles.materials), default=0.0)
+        reach = math.sqrt(stiffest) * time_step / self.particles.spacing
+        return min(max(round(ITERATIONS_PER_REACH * reach), FEWEST_ITERATIONS), MOST_ITERATIONS)
+
     def _prepare_law(self, time_step: float) -> None:
         """Take up the laws for a substep; recordings hold on to those made before."""
         if time_step not in self._laws:
@@ -166,7 +187,13 @@ class PlasticBonds:
                 self.pairs.measure(self.clay, self.bodies)
                 self._linearize(substep)
             self.gradients.solve(
-                self.clay, self.bodies, self.pairs, self.diagonal, self.own_block, self.coarse
+                self._iterations(substep.time_step),
+                self.clay,
+                self.bodies,
+                self.pairs,
+                self.diagonal,
+                self.own_block,
+                self.coarse,
             )
         self.contacts.settle(substep, self.gradients.change)
         self.pairs.flow(self.clay, self.pair_laws)
@@ -206,3 +233,6 @@ class PlasticBonds:
             getattr(self.pairs.rows, name).assign(state[name])
         self.neighbors.restore(state)
         self.coarse.restore(state)
+        # What sleeps must do nothing in any pass.
+        self.gradients.data.direction.zero_()
+        self.gradients.pressure_change.zero_()

@@ -9,7 +9,6 @@ from typing import cast
 MODELS = ("plastic_bonds", "paper")
 """Clay models: the default, and the paper's as printed."""
 DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
-DEFAULT_ITERATIONS = {"plastic_bonds": 2, "paper": 4}
 """What clay needs to look and feel right live. The paper's distance constraints are only as stiff
 as substeps and iterations make them: with less, a block of 4 cm gives way under its weight."""
 
@@ -25,9 +24,10 @@ class Settings:
     substeps: int = cast(int, None)
     """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. Where not given,
     those that the model needs."""
-    iterations: int = cast(int, None)
-    """Conjugate-gradient iterations in each of a substep's two Newton steps; relaxation iterations
-    of the model "paper". Where not given, those that the model needs."""
+    iterations: int | None = None
+    """Conjugate-gradient iterations in each of a substep's two Newton steps, where not given as
+    many as the clay's stiffness asks for; relaxation iterations of the model "paper", 4 where not
+    given."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
@@ -46,11 +46,9 @@ class Settings:
             )
         if self.substeps is None:
             object.__setattr__(self, "substeps", DEFAULT_SUBSTEPS[self.model])
-        if self.iterations is None:
-            object.__setattr__(self, "iterations", DEFAULT_ITERATIONS[self.model])
         if not 1 <= self.substeps <= 4096:
             raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
-        if not 1 <= self.iterations <= 1000:
+        if self.iterations is not None and not 1 <= self.iterations <= 1000:
             raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")
 
 

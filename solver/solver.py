@@ -17,9 +17,10 @@ from .plastic_bonds import PlasticBonds
 from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
 from .settings import Settings
+from .time_steps import BASE_STEP
 
-BASE_STEP = 1.0 / 60.0
-"""The step that `Settings.substeps` divides [s]."""
+CLAY_STRIDE = 0.5
+"""The fastest clay moves this far in a substep, in spacings: what collides needs that."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
 MOST_SUBSTEPS = 128
@@ -100,8 +101,9 @@ class Solver:
             raise ValueError(f"A step of {duration!r} s is not possible; it must be above 0.")
         shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
         speed = self._regions.fastest
+        stride = CLAY_STRIDE * self.scene.spacing
         most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
-        substeps = max(shortest, min(math.ceil(speed * duration / self.scene.spacing), most))
+        substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
         motion = 0.0
         if self._contacts.meshes:
             substeps, motion = self._plan_colliders(shortest, substeps)

@@ -63,7 +63,7 @@ def write_page(report: Report, folder: Path) -> None:
     live = Settings()
     lines += [
         f"The live setting, `Settings()`, takes {live.substeps} substeps a frame of "
-        f"{live.iterations} iterations, model `{live.model}`.",
+        f"{live.iterations or 'as many as stiffness asks for'} iterations, model `{live.model}`.",
         "",
         "## Errors and cost",
         "",
@@ -111,7 +111,7 @@ def _quality_table(report: Report) -> list[str]:
         if name in report.qualities:
             c = report.qualities[name]
             lines.append(
-                f"| {name} | {c.settings.substeps} × {c.settings.iterations} "
+                f"| {name} | {c.settings.substeps} × {c.settings.iterations or 'auto'} "
                 f"| {c.microseconds:.1f} | {c.mean:.2f} | {_number(c.worst)} "
                 f"| {c.met} of {c.count} |"
             )

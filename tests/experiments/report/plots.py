@@ -69,7 +69,9 @@ def _plain_log(axis: Any, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _size(iterations: int) -> float:
+def _size(iterations: int | None) -> float:
+    # Where the solver chooses, the default material gets about six.
+    iterations = iterations or 6
     return 8.0 + 11.0 * math.log2(iterations + 1) ** 1.6
 
 
@@ -78,7 +80,7 @@ def _save(picture: Picture, path: Path) -> None:
 
 
 def _label(settings: Settings) -> str:
-    return f"{settings.substeps} × {settings.iterations}"
+    return f"{settings.substeps} × {settings.iterations or 'auto'}"
 
 
 def _substeps_legend(axes: Axes, used: Sequence[int], **place: Any) -> None:
@@ -162,7 +164,7 @@ def plot_combined(combined: Sequence[Combined], chosen: dict[str, Combined], pat
     _substeps_legend(axes, used, loc="upper right")
     handles = [
         axes.scatter([], [], s=_size(n), color=FAINT, label=str(n))
-        for n in sorted({c.settings.iterations for c in combined})
+        for n in sorted({c.settings.iterations for c in combined if c.settings.iterations})
     ]
     _iterations_legend(axes, handles)
     _save(picture, path)
@@ -336,7 +338,7 @@ def plot_stability(
     axes = picture.add_subplot()
     _dress(
         axes,
-        title=f"Stability at {settings.iterations} iterations",
+        title=f"Stability at {settings.iterations or 'the chosen'} iterations",
         x="substep [ms]  (substeps a frame)",
         y="shear modulus [Pa]",
     )

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Clay that sleeps by regions, and what wakes it."""
+
+import numpy as np
+import pytest
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+from tactile_clay.solver.scene import MeshCollider, Plane
+from tactile_clay.tests.experiments.shapes import at, ball, block
+
+SPACING = 0.005
+SLAB = (48, 24, 8)
+
+
+def slab() -> tuple[Solver, Plane, MeshCollider]:
+    """A slab on a table that fell asleep, a ball above one end of it."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(SLAB, SPACING), Material())
+    table = scene.add_plane()
+    sphere = ball(0.01)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(0.09, 0, 0.07))
+    solver = Solver(scene)
+    for _ in range(60):
+        solver.step(1 / 60)
+    return solver, table, tool
+
+
+def weight(solver: Solver) -> float:
+    return solver.scene.particle_count * Material().density * SPACING**3 * 9.81
+
+
+@pytest.fixture(scope="module")
+def poked() -> tuple[Solver, list[int], np.ndarray]:
+    """Poke one end and take the ball away: how many were awake, and the slab before."""
+    solver, _, tool = slab()
+    before = solver.positions()
+    awake = [solver.diagnostics().awake]
+    for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
+        tool.set_pose(at(0.09, 0, height))
+        solver.step(1 / 60)
+        awake.append(solver.diagnostics().awake)
+    for _ in range(90):
+        solver.step(1 / 60)
+    awake.append(solver.diagnostics().awake)
+    return solver, awake, before
+
+
+def test_clay_at_rest_sleeps_and_weighs_the_same():
+    """Sleep when at rest, and lie on the table with the whole weight, for as long as you like."""
+    solver, table, _ = slab()
+    assert solver.diagnostics().awake == 0
+    before = solver.positions()
+    for _ in range(1000):
+        solver.step(1 / 60)
+    np.testing.assert_array_equal(solver.positions(), before)
+    np.testing.assert_array_equal(solver.velocities(), 0.0)
+    assert -solver.force_on(table)[2] == pytest.approx(weight(solver), rel=1e-3)
+
+
+def test_a_poke_wakes_only_its_surroundings(poked: tuple[Solver, list[int], np.ndarray]):
+    """Wake the end that is poked, not the other, and let it sleep again."""
+    solver, awake, before = poked
+    assert awake[0] == 0
+    assert 0 < max(awake) < 0.7 * solver.scene.particle_count
+    assert awake[-1] == 0
+    moved = np.linalg.norm(solver.positions() - before, axis=1)
+    assert moved.max() > 0.5 * SPACING
+    assert moved[before[:, 0] < -0.04].max() == 0.0
+
+
+def test_a_dent_is_the_same_beside_sleeping_clay(poked: tuple[Solver, list[int], np.ndarray]):
+    """Leave the dent that clay wholly awake would take, without a seam."""
+    solver, _, before = poked
+    scene = Scene(SPACING)
+    scene.add_clay(block(SLAB, SPACING), Material())
+    scene.add_plane()
+    sphere = ball(0.01)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(0.09, 0, 0.07))
+    awake = Solver(scene, Settings(sleeping=False))
+    for _ in range(60):
+        awake.step(1 / 60)
+    start = awake.positions()
+    for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
+        tool.set_pose(at(0.09, 0, height))
+        awake.step(1 / 60)
+    for _ in range(60):
+        awake.step(1 / 60)
+    dent, expected = solver.positions() - before, awake.positions() - start
+    difference = np.linalg.norm(dent - expected, axis=1)
+    assert np.sqrt(np.mean(difference**2)) < 0.03 * SPACING
+    assert abs(dent[:, 2].min() - expected[:, 2].min()) < 0.15 * SPACING
+
+
+def test_clay_wakes_when_what_holds_it_goes():
+    """Fall when the support under sleeping clay is taken away."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(5, SPACING, (0, 0, 0.1)), Material())
+    plate = ball(0.1)
+    tool = scene.add_mesh(plate.vertices, plate.faces)
+    tool.set_pose(at(0, 0, 0.0))
+    solver = Solver(scene)
+    for _ in range(240):
+        solver.step(1 / 60)
+    assert solver.diagnostics().awake == 0
+    tool.set_pose(at(0, 0, -0.5))
+    height = solver.positions()[:, 2].mean()
+    for _ in range(12):
+        solver.step(1 / 60)
+    assert height - solver.positions()[:, 2].mean() == pytest.approx(0.5 * 9.81 * 0.2**2, rel=0.05)
+
+
+def test_falling_clay_wakes_what_it_falls_on():
+    """Wake sleeping clay when other clay falls on it, and carry the weight of both."""
+    scene = Scene(SPACING)
+    scene.add_clay(block((10, 10, 6), SPACING), Material())
+    scene.add_clay(block(4, SPACING, (0, 0, 0.3)), Material(), velocities=(0, 0, 2.5))
+    table = scene.add_plane()
+    solver = Solver(scene)
+    slept = False
+    for _ in range(90):
+        solver.step(1 / 60)
+        slept |= solver.diagnostics().awake <= 64
+    assert slept
+    for _ in range(30):
+        solver.step(1 / 60)
+    assert -solver.force_on(table)[2] == pytest.approx(weight(solver), rel=0.01)
+    assert solver.positions()[600:, 2].min() > 0.02
+
+
+def test_sleep_survives_a_snapshot():
+    """Restore sleeping clay asleep; the same steps then give the same bits."""
+    solver, table, tool = slab()
+    state = solver.snapshot()
+    results = []
+    for _ in range(2):
+        for height in np.linspace(0.054, 0.048, 6):
+            tool.set_pose(at(0.09, 0, height))
+            solver.step(1 / 60)
+        results.append((solver.positions(), solver.force_on(table)))
+        solver.restore(state)
+        assert solver.diagnostics().awake == 0
+    for one, two in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, two)
