@@ -186,7 +186,8 @@ class Particles:
 
         Of an input that is `ByPart`, each part gets its own.
         """
-        blocks = (-(-self.threads // self.parts) + BLOCK) // BLOCK
+        part = -(-self.threads // self.parts)
+        blocks = -(-part // BLOCK)
         self._launch_by_part(kernel, blocks, [ByPart(self._shares), *inputs])
 
     def launch_once(self, kernel: wp.Kernel, *inputs: Any) -> None:

@@ -87,9 +87,9 @@ class PlasticBonds:
         self.pairs = Pairs(particles)
         # Bonds stay listed however long they are; only those still to form must be found.
         self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
-        self.gradients = ConjugateGradients(
-            particles, self._iterations(BASE_STEP / settings.substeps)
-        )
+        # One more than needed: a substep may be longer than it should by rounding.
+        most_iterations = self._iterations(BASE_STEP / settings.substeps) + 1
+        self.gradients = ConjugateGradients(particles, most_iterations)
         self.coarse = CoarseSpace(particles)
         self._recordings = Recordings(particles)
         self._laws: dict[float, tuple[Clay, wp.array]] = {}
