@@ -52,12 +52,15 @@ class Solver:
             solver.step(1 / 60)
         print(solver.positions(), solver.force_on(floor))
 
-    *Limitations*: the force of a press agrees with slip-line theory to about a fifth while it
-    moves and falls by another tenth while it is held; slumps differ from theory by up to .16 of
-    the height. Bonds act between neighbours only, so Poisson's ratio is that of a central-force
-    network and the pressure keeps the volume. Contact is a stiff penalty: under a fingertip
-    particles enter a collider by a twentieth of the spacing. Colliders push clay but do not yield
-    to it. On a GPU the coarse matrix is inverted on the host, and no GPU has run it yet.
+    *Limitations*: the force of a press agrees with slip-line theory to about a fifth where the
+    tool is at least 2.4 spacings in radius. Viscosity acts on bonds, so that fast shear is
+    resisted by up to 30 % less than the material says, and thin films of soft clay flow several
+    times too fast. Blades thinner than a spacing do not cut. Thin threads of clay with little
+    viscosity break early. Bonds act between neighbours only, so Poisson's ratio is that of a
+    central-force network and the pressure keeps the volume. Contact is a stiff penalty: under a
+    fingertip particles enter a collider by a twentieth of the spacing. Colliders push clay but do
+    not yield to it. What lies between awake clay and a collider and sleeps does not pass on the
+    force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU has run it.
 
     Args:
         scene: What is in it; clay and colliders added later are not seen.

@@ -45,7 +45,7 @@ def test_block_falls_as_it_should(studio: Any, tmp_path: Path) -> None:
     assert not cache.read_frame(1).velocities.any()
     fallen = rest - cache.read_frame(4).positions
     seconds = 3 / 24
-    assert fallen[:, 2].max() < 0.01 + 1e-4
+    assert fallen[:, 2].max() < 0.01 + 2e-4
     np.testing.assert_allclose(fallen[:, :2], 0.0, atol=2e-4)
     middle = rest - cache.read_frame(2).positions
     # A symplectic step falls half a substep further.
