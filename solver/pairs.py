@@ -49,6 +49,8 @@ class Pairs:
         self.rows = rows
         self.generation = 0
         self._slots = 0
+        rows.other = wp.zeros(0, dtype=int, device=device)
+        rows.rest_length = wp.zeros(0, dtype=float, device=device)
         self.lay_out(np.zeros(count, np.int32))
         self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
         self._passes = pair_rows_cpu if device.is_cpu else pair_rows
@@ -65,19 +67,19 @@ class Pairs:
         room = (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
         first = np.cumsum(room) - room
         before = PairRows()
-        before.first, before.other, before.rest_length = rows.first, rows.other, rows.rest_length
-        rows.first = wp.array(first, dtype=int, device=device)
-        rows.room = wp.array(room, dtype=int, device=device)
+        before.first, before.other = wp.clone(rows.first), wp.clone(rows.other)
+        before.rest_length = wp.clone(rows.rest_length)
         total = int(room.sum())
         if total > self._slots:
-            self._slots = total + total // 8
-            for name in _BY_SLOT:
+            # Recordings hold on to arrays: new ones should not be needed often.
+            self._slots = total + total // 3
+            rows.other = wp.zeros(self._slots, dtype=int, device=device)
+            for name in ("rest_length", *_BY_SLOT):
                 setattr(rows, name, wp.zeros(self._slots, dtype=float, device=device))
-        # Beside what the rows hold now, for copying.
-        rows.other = wp.zeros(self._slots, dtype=int, device=device)
-        rows.rest_length = wp.zeros(self._slots, dtype=float, device=device)
+            self.generation += 1
+        rows.first.assign(first.astype(np.int32))
+        rows.room.assign(room.astype(np.int32))
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
-        self.generation += 1
 
     def gather(self, clay: Clay, bodies: wp.array) -> None:
         """Collect the pairs that act from here, and measure them at the present velocities."""

@@ -21,7 +21,7 @@ SLEEP_DELAY = 0.25
 """How long a region must have been at rest to fall asleep [s]."""
 RELAY_TRAVEL = 2.0
 """Regions are laid anew when something may have moved this far, in spacings."""
-WAKE_TRAVEL = 0.02
+WAKE_TRAVEL = 0.1
 """A region wakes those around it when it may have moved this far, in spacings."""
 _REGION_LIMIT = 1 << 15
 

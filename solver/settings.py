@@ -53,7 +53,7 @@ class Settings:
 
 
 QUALITIES = {
-    "draft": Settings(substeps=2),
+    "draft": Settings(iterations=2),
     "live": Settings(),
     "film": Settings(substeps=16),
 }
