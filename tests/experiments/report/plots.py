@@ -160,7 +160,10 @@ def plot_combined(combined: Sequence[Combined], chosen: dict[str, Combined], pat
     _plain_log(axes.xaxis)
     _plain_log(axes.yaxis)
     means = [c.mean for c in combined] + [1.0]
-    axes.set_ylim(min(means) / 1.7, max(means) * 1.2)
+    axes.set_ylim(min(means) / 1.9, max(means) * 1.2)
+    costs = [c.microseconds for c in combined]
+    # Room for the legends and for names.
+    axes.set_xlim(min(costs) / 2.0, max(costs) * 4.5)
     used = sorted({c.settings.substeps for c in combined})
     _substeps_legend(axes, used, loc="upper right")
     handles = [
