@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from . import coarse_space_cpu
 from .awake import Awake, awake_particle
 from .coarse_modes import MODES, assemble, rigid_row
+from .grid_boxes import box_of
 from .pairs import Pairs
 from .particles import ByPart, Particles
 
@@ -53,8 +54,7 @@ def find_boxes(
     position: wp.array[wp.vec3],
     low: wp.vec3,
     inverse_edge: wp.vec3,
-    y_count: int,
-    z_count: int,
+    counts: wp.vec3i,
     cell: wp.array[int],
     occupants: wp.array[int],
     sums: wp.array[wp.vec3],
@@ -63,9 +63,8 @@ def find_boxes(
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    place = wp.cw_mul(position[i] - low, inverse_edge)
-    # The highest particle lies on the outer face of the last box.
-    box = (int(place[0]) * y_count + int(place[1])) * z_count + int(place[2])
+    place = box_of(position[i], low, inverse_edge, counts)
+    box = (place[0] * counts[1] + place[1]) * counts[2] + place[2]
     cell[i] = box
     wp.atomic_add(occupants, box, 1)
     wp.atomic_add(sums, box, position[i] - low)
@@ -207,8 +206,7 @@ class CoarseSpace:
             self.particles.position,
             wp.vec3(*low),
             wp.vec3(*inverse),
-            int(boxes[1]),
-            int(boxes[2]),
+            wp.vec3i(*boxes.tolist()),
             self.cell,
             occupants,
             sums,

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from .awake import Awake, awake_particle
+from .grid_boxes import box_of
 from .pair_rows import PairRows, keep_bonds
 from .vector_units import OPTIONS, VECTORS, over_block
 
@@ -24,10 +25,9 @@ class CellGrid:
 
     low: wp.vec3
     """Corner of the first cell [m]."""
-    inverse_edge: float
-    x_count: int
-    y_count: int
-    z_count: int
+    inverse_edge: wp.vec3
+    counts: wp.vec3i
+    """Of cells along each axis."""
     cell: wp.array[int]
     """Of each particle."""
     start: wp.array[int]
@@ -46,11 +46,8 @@ class CellGrid:
 def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     """Count the particles in each cell; what lies outside the grid goes to its outermost cells."""
     i = wp.tid()
-    place = (position[i] - grid.low) * grid.inverse_edge
-    x = int(wp.clamp(place[0], 0.0, float(grid.x_count - 1)))
-    y = int(wp.clamp(place[1], 0.0, float(grid.y_count - 1)))
-    z = int(wp.clamp(place[2], 0.0, float(grid.z_count - 1)))
-    cell = (z * grid.y_count + y) * grid.x_count + x
+    place = box_of(position[i], grid.low, grid.inverse_edge, grid.counts)
+    cell = (place[2] * grid.counts[1] + place[1]) * grid.counts[0] + place[0]
     grid.cell[i] = cell
     wp.atomic_add(grid.start, cell + 1, 1)
 
@@ -88,7 +85,7 @@ def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     for (int e = 0; e < bonded; e++) mark[other[e]] = i;
     mark[i] = i;
     const float* p = (const float*)position.data + 3 * (long long)i;
-    const int nx = grid.x_count, ny = grid.y_count, nz = grid.z_count;
+    const int nx = grid.counts[0], ny = grid.counts[1], nz = grid.counts[2];
     const int cell = grid.cell.data[i];
     const int cx = cell % nx, cy = (cell / nx) % ny, cz = cell / (nx * ny);
     const int x0 = cx > 0 ? cx - 1 : 0, x1 = cx + 1 < nx ? cx + 1 : nx - 1;
@@ -196,7 +193,7 @@ def make_cell_grid(particle_count: int, reach: float, device: wp.Device) -> Cell
         # Vector units read up to seven behind the last.
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=float, device=device))
     grid.start = wp.zeros(1, dtype=int, device=device)
-    grid.inverse_edge = 1.0 / reach
+    grid.inverse_edge = wp.vec3(1.0 / reach)
     return grid
 
 
@@ -223,7 +220,7 @@ def sort_into_cells(grid: CellGrid, position: wp.array, reach: float) -> None:
     else:
         grid.start.zero_()
     grid.low = wp.vec3(*low)
-    grid.x_count, grid.y_count, grid.z_count = (int(n) for n in counts)
+    grid.counts = wp.vec3i(*counts.tolist())
 
     def launch(kernel: wp.Kernel, dim: int, *inputs: Any) -> None:
         wp.launch(kernel, dim=dim, inputs=list(inputs), device=position.device)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from . import regions_cpu
 from .awake import Awake, awake_particle
+from .grid_boxes import box_of
 from .particles import ByPart, Particles
 
 EDGE = 8.0
@@ -30,15 +31,14 @@ _REGION_LIMIT = 1 << 15
 def assign_regions(
     position: wp.array[wp.vec3],
     low: wp.vec3,
-    inverse_edge: float,
-    y_count: int,
-    z_count: int,
+    inverse_edge: wp.vec3,
+    counts: wp.vec3i,
     region: wp.array[int],
 ) -> None:
     """Find the region each particle lies in."""
     i = wp.tid()
-    place = (position[i] - low) * inverse_edge
-    region[i] = (int(place[0]) * y_count + int(place[1])) * z_count + int(place[2])
+    place = box_of(position[i], low, inverse_edge, counts)
+    region[i] = (place[0] * counts[1] + place[1]) * counts[2] + place[2]
 
 
 @wp.kernel(enable_backward=False)
@@ -101,8 +101,8 @@ class Regions:
         # The highest particle must fall into the last region.
         low = low - 1e-3 * edge
         self.shape = tuple((np.floor((extent + 2e-3 * edge) / edge) + 1).astype(int).tolist())
-        _, y_count, z_count = self.shape
-        inputs = [particles.position, wp.vec3(*low), 1.0 / edge, y_count, z_count, self.region]
+        grid = [wp.vec3(*low), wp.vec3(1.0 / edge), wp.vec3i(*self.shape)]
+        inputs = [particles.position, *grid, self.region]
         wp.launch(assign_regions, dim=particles.count, inputs=inputs, device=particles.device)
         count = int(np.prod(self.shape))
         region = self.region.numpy()
@@ -224,7 +224,6 @@ class Regions:
         self.asleep = asleep
         self._awake = ~asleep[self.region.numpy()]
         self.particles.set_awake(np.flatnonzero(self._awake))
-        self._find_awake_box()
         self._find_awake_box()
 
     def _find_awake_box(self) -> None:
