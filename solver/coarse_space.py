@@ -222,18 +222,18 @@ class CoarseSpace:
         """
         matrix = ByPart.rows(self.matrix)
         self.particles.zero(matrix)
-        inputs = [
+        self.particles.run(
+            assemble,
+            coarse_space_cpu.assemble,
             self.cell,
             self.center,
             self.particles.position,
             own_block,
             pairs.rows,
-        ]
+            matrix,
+        )
         if self.device.is_cpu:
-            self.particles.launch_blocks(coarse_space_cpu.assemble, *inputs, matrix)
             self.factor.take(self.size, self.center, self.ridge, self.matrix)
-        else:
-            self.particles.launch(assemble, *inputs, matrix[0])
 
     def invert(self) -> None:
         """Invert the coarse matrix on the host, for a graphics card; the CPU has done so."""

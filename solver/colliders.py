@@ -70,14 +70,19 @@ def _shape_of(collider: MeshCollider, before: _Shape | None) -> _Shape:
         if np.abs(vertices - before.vertices).max() <= tolerance:
             # It only turned: keep the very same vertices, so that the mesh need not be refitted.
             vertices = before.vertices
-    axes = vertices.T.copy()
-    low, high = axes.min(1), axes.max(1)
-    corners = np.where(_CORNERS, high, low)
     orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
-    return _Shape(rotation, translation, vertices, corners, orientation, collider.shape_version)
+    version = collider.shape_version
+    return _Shape(rotation, translation, vertices, _corners(vertices), orientation, version)
 
 
-_CORNERS = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
+_UPPER = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
+
+
+def _corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a box around vertices [m], shape [8, 3]."""
+    # Extremes of many short rows are slow to find; of three long ones they are not.
+    axes = vertices.T.copy()
+    return np.where(_UPPER, axes.max(1), axes.min(1))
 
 
 @dataclass
@@ -236,12 +241,11 @@ class MeshColliders:
         self.clearance.assign(state["collider_clearance"])
         for which, moving in enumerate(self.moving):
             vertices = state[f"collider_{which}_vertices"].copy()
-            axes = vertices.T.copy()
             moving.shape = _Shape(
                 state[f"collider_{which}_rotation"].copy(),
                 state[f"collider_{which}_translation"].copy(),
                 vertices,
-                np.where(_CORNERS, axes.max(1), axes.min(1)),
+                _corners(vertices),
                 float(state[f"collider_{which}_orientation"]),
                 -1,
             )

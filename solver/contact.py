@@ -88,6 +88,7 @@ class Contacts:
         shape = (particles.parts, len(self.colliders))
         self.impulse = wp.zeros(shape, dtype=wp.vec3d, device=device)
         """By part, on each collider in this step [N s]."""
+        self._impulse_by_part = ByPart.rows(self.impulse) if self.colliders else ByPart()
         self.resting_force = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
         """Of clay that sleeps, on each collider [N]."""
         self.deepest = wp.zeros((particles.parts, 1), dtype=float, device=device)
@@ -112,8 +113,7 @@ class Contacts:
     def wake(self, woken: wp.array) -> None:
         """Take up the contacts of particles that wake, given their indices."""
         if self.colliders:
-            clearance = self.meshes.clearance if self.meshes else self._surroundings.clearance
-            inputs = [woken, self.slots, clearance, self.resting_force]
+            inputs = [woken, self.slots, self._surroundings.clearance, self.resting_force]
             wp.launch(wake_contacts, dim=len(woken), inputs=inputs, device=self.device)
 
     def begin_step(self) -> None:
@@ -175,8 +175,6 @@ class Contacts:
             common: The substep.
             change: What the last solve changed of the velocities [m/s].
         """
-        if not self.colliders:
-            return
         self._launch(
             (settle_all_contacts, contact_cpu.settle_all_contacts),
             common,
@@ -185,7 +183,7 @@ class Contacts:
             self.particles.velocity,
             change,
             self.slots,
-            ByPart.rows(self.impulse),
+            self._impulse_by_part,
             ByPart.rows(self.deepest),
         )
 
@@ -197,8 +195,7 @@ class Contacts:
         if self._near:
             self.particles.launch_blocks(by_block, *inputs, self._near)
         else:
-            own = [item[0] if isinstance(item, ByPart) else item for item in inputs]
-            self.particles.launch(plain, *own)
+            self.particles.launch(plain, *inputs)
 
     def snapshot(self) -> dict[str, NDArray]:
         """Anchors and what they hold on to, and where meshes stand."""

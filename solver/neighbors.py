@@ -176,12 +176,13 @@ class Neighbors:
 
     def measure(self) -> None:
         """Find how far particles have moved; may be recorded."""
-        inputs = [self.particles.position, self.listed_position]
-        largest = ByPart.rows(self.largest)
-        if self._hash_grid:
-            self.particles.launch(measure_displacement, *inputs, largest[0])
-        else:
-            self.particles.launch_blocks(neighbors_cpu.measure_displacement, *inputs, largest)
+        self.particles.run(
+            measure_displacement,
+            neighbors_cpu.measure_displacement,
+            self.particles.position,
+            self.listed_position,
+            ByPart.rows(self.largest),
+        )
 
     def rebuild_if_moved(self) -> None:
         """Refill the rows where a particle has used up its half of the skin."""

@@ -3,7 +3,7 @@
 
 They take most of a frame. The kernels of `pair_rows` with the same names are the same passes for
 reading and for graphics cards; tests hold the two to the same results. Lanes behind the last
-pair of a row have a direction of zero, so that they add nothing.
+pair of a row have no stiffness and no slope, so that they add nothing.
 """
 
 import warp as wp

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -78,6 +78,11 @@ class ByPart(list[Any]):
         return cls([array[part] for part in range(array.shape[0])])
 
 
+def _own(inputs: Sequence[Any], part: int) -> list[Any]:
+    """What one part gets of inputs, some of which may be `ByPart`."""
+    return [item[part] if isinstance(item, ByPart) else item for item in inputs]
+
+
 SMALL = 1024
 """Fewer particles than this are not worth dividing among threads."""
 
@@ -119,19 +124,16 @@ class Particles:
         """Particles that were held to the speed limit, by part."""
         self.quarantined = wp.zeros((self.parts, 1), dtype=int, device=device)
         """Particles whose state was not finite, by part."""
-        self.awake = Awake()
-        self.awake.count = wp.full(1, self.count, dtype=int, device=device)
-        self.awake.index = wp.array(np.arange(self.count), dtype=int, device=device)
-        self.awake.part = 0
+        self.awake = self._make_share(0)
         self.threads = self.count
         """Threads in a pass: at least as many as particles are awake."""
         self.part: int | None = None
         """The only part to launch passes for, while they are recorded for one thread."""
         self._barrier = wp.zeros(64, dtype=int, device=device)
         self._shares = [self._make_share(part) for part in range(self.parts)]
-        self._divide(np.arange(self.count))
         self.resting = wp.zeros(self.count, dtype=int, device=device)
         """1 for a particle that sleeps."""
+        self.set_awake(np.arange(self.count))
         self.awake_box = self.box()
         """Lowest and highest corner of what is awake [m], shape [2, 3]."""
 
@@ -141,11 +143,12 @@ class Particles:
         Args:
             index: Which, ascending.
         """
-        self._divide(index)
-        padded = np.zeros(self.count, np.int32)
-        padded[: len(index)] = index
-        self.awake.index.assign(padded)
-        self.awake.count.fill_(len(index))
+        shares = np.array_split(index, self.parts)
+        for share, own in ((self.awake, index), *zip(self._shares, shares, strict=True)):
+            padded = np.zeros(self.count, np.int32)
+            padded[: len(own)] = own
+            share.index.assign(padded)
+            share.count.fill_(len(own))
         resting = np.ones(self.count, np.int32)
         resting[index] = 0
         self.resting.assign(resting)
@@ -155,7 +158,21 @@ class Particles:
 
     def launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass over the particles that are awake; ``Awake`` is its first argument."""
-        wp.launch(kernel, dim=self.threads, inputs=[self.awake, *inputs], device=self.device)
+        own = _own(inputs, self.awake.part)
+        wp.launch(kernel, dim=self.threads, inputs=[self.awake, *own], device=self.device)
+
+    def run(self, plain: wp.Kernel, by_block: wp.Kernel, *inputs: Any) -> None:
+        """Run a pass by the kernel that the device is served best by.
+
+        Args:
+            plain: Takes a particle a thread, for graphics cards.
+            by_block: Does the same for the CPU.
+            inputs: Of both.
+        """
+        if self.device.is_cpu:
+            self.launch_blocks(by_block, *inputs)
+        else:
+            self.launch(plain, *inputs)
 
     @contextmanager
     def only(self, part: int | None) -> Iterator[None]:
@@ -172,14 +189,6 @@ class Particles:
         share.index = wp.zeros(self.count, dtype=int, device=self.device)
         share.part = part
         return share
-
-    def _divide(self, index: NDArray[np.int64]) -> None:
-        """Give each part as many of the particles, in their order."""
-        for share, own in zip(self._shares, np.array_split(index, self.parts), strict=True):
-            padded = np.zeros(self.count, np.int32)
-            padded[: len(own)] = own
-            share.index.assign(padded)
-            share.count.fill_(len(own))
 
     def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass whose threads take a block of particles each.
@@ -198,8 +207,7 @@ class Particles:
         self, kernel: wp.Kernel, dim: int, inputs: list[Any], *, wait: bool = True
     ) -> None:
         for part in range(self.parts) if self.part is None else (self.part,):
-            own = [item[part] if isinstance(item, ByPart) else item for item in inputs]
-            wp.launch(kernel, dim=dim, inputs=own, device=self.device)
+            wp.launch(kernel, dim=dim, inputs=_own(inputs, part), device=self.device)
         if self.part is not None and wait:
             meeting = [self._barrier, self.parts]
             wp.launch(particles_cpu.wait_for_others, dim=1, inputs=meeting, device=self.device)
@@ -216,31 +224,27 @@ class Particles:
         free fall is exact whatever the substeps (leapfrog).
         """
         kick = wp.vec3(*self.gravity) * (0.5 * (time_step + time_step_before))
-        quarantined = ByPart.rows(self.quarantined)
-        inputs: list[Any] = [kick, self.velocity, self.velocity_free, quarantined]
-        if self.device.is_cpu:
-            self.launch_blocks(particles_cpu.fall_freely, *inputs)
-        else:
-            self.launch(fall_freely, *inputs[:-1], quarantined[0])
+        self.run(
+            fall_freely,
+            particles_cpu.fall_freely,
+            kick,
+            self.velocity,
+            self.velocity_free,
+            ByPart.rows(self.quarantined),
+        )
 
     def move(self, time_step: float) -> None:
         """Move with the velocities, no faster than the speed limit."""
-        inputs = [
+        self.run(
+            move,
+            particles_cpu.move,
             time_step,
             self.velocity,
             self.position,
             self.speed_limit,
-        ]
-        counts = [ByPart.rows(self.clamped), ByPart.rows(self.quarantined)]
-        if self.device.is_cpu:
-            self.launch_blocks(particles_cpu.move, *inputs, *counts)
-        else:
-            self.launch(move, *inputs, *(count[0] for count in counts))
-
-    def fastest(self) -> float:
-        """Speed of the fastest particle [m/s]."""
-        speeds = np.linalg.norm(self.velocity.numpy(), axis=1)
-        return float(np.max(speeds, initial=0.0, where=np.isfinite(speeds)))
+            ByPart.rows(self.clamped),
+            ByPart.rows(self.quarantined),
+        )
 
     def box(self) -> NDArray[np.float32]:
         """Lowest and highest corner of all particles [m], shape [2, 3]."""

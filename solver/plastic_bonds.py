@@ -25,8 +25,7 @@ from .neighbors import Neighbors
 from .pairs import Pairs
 from .particles import Particles
 from .recording import Recordings
-from .settings import Settings
-from .time_steps import BASE_STEP
+from .settings import BASE_STEP, Settings
 
 SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""

@@ -146,16 +146,14 @@ class Regions:
         if not self.particles.count:
             return
         self.measures.fill_(-np.inf)
-        inputs = [
+        self.particles.run(
+            measure_regions,
+            regions_cpu.measure_regions,
             self.particles.position,
             self.particles.velocity,
             self.region,
-        ]
-        own = ByPart.rows(self.measures)
-        if self.particles.device.is_cpu:
-            self.particles.launch_blocks(regions_cpu.measure_regions, *inputs, own)
-        else:
-            self.particles.launch(measure_regions, *inputs, own[0])
+            ByPart.rows(self.measures),
+        )
         measures = self.measures.numpy().max(0)
         awake = ~self.asleep
         self.boxes[awake, 1] = measures[awake, :3]

@@ -6,6 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
+BASE_STEP = 1.0 / 60.0
+"""The step that `Settings.substeps` divides [s]."""
 MODELS = ("plastic_bonds", "paper")
 """Clay models: the default, and the paper's as printed."""
 DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
@@ -57,5 +59,5 @@ QUALITIES = {
     "live": Settings(),
     "film": Settings(substeps=16),
 }
-"""Settings from the front of error against cost: the cheapest worth having, those for sculpting
-live, and those for rendering."""
+"""The cheapest settings worth having, those for sculpting live, and the finest that the report
+tries, for rendering."""

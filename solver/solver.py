@@ -16,8 +16,7 @@ from .particles import Particles
 from .plastic_bonds import PlasticBonds
 from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
-from .settings import Settings
-from .time_steps import BASE_STEP
+from .settings import BASE_STEP, Settings
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""
