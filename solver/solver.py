@@ -321,6 +321,8 @@ def _bytes_held(part: object, seen: set[int]) -> int:
         return int(part.capacity)
     if isinstance(part, list | tuple):
         return sum(_bytes_held(item, seen) for item in part)
-    if type(part).__module__.startswith(__name__.rpartition(".")[0]):
+    ours = type(part).__module__.startswith(__name__.rpartition(".")[0])
+    # Most arrays stand in the structs that kernels take.
+    if ours or hasattr(part, "_ctype"):
         return sum(_bytes_held(item, seen) for item in vars(part).values())
     return 0

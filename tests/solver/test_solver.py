@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The solver as a whole: exactness, what it builds, what it refuses."""
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
+from tactile_clay.solver.plastic_bonds import PlasticBonds
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005
@@ -93,6 +96,20 @@ def test_only_what_the_scene_holds_is_built():
     full, _ = pressed_scene()
     assert "1 meshes" in Solver(full).describe()
     assert "1 planes" in Solver(full).describe()
+
+
+def test_memory_that_is_told_is_what_arrays_hold():
+    """Count the arrays in structs too: rows of neighbours are most of what a scene holds."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(8, SPACING), Material())
+    solver = Solver(scene)
+    told = float(re.findall(r"([0-9.]+) MB", solver.describe())[0])
+    model = solver._model
+    assert isinstance(model, PlasticBonds)
+    rows = model.pairs.rows
+    held = sum(value.capacity for value in vars(rows).values() if isinstance(value, wp.array))
+    assert held > 0.5e6
+    assert told > held / 1e6
 
 
 def test_empty_scene_steps():
