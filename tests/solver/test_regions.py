@@ -12,18 +12,28 @@ SPACING = 0.005
 SLAB = (48, 24, 8)
 
 
-def slab() -> tuple[Solver, Plane, MeshCollider]:
-    """A slab on a table that fell asleep, a ball above one end of it."""
+def slab(settings: Settings | None = None) -> tuple[Solver, Plane, MeshCollider]:
+    """A slab on a table that came to rest, a ball above one end of it."""
     scene = Scene(SPACING)
     scene.add_clay(block(SLAB, SPACING), Material())
     table = scene.add_plane()
     sphere = ball(0.01)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
     tool.set_pose(at(0.09, 0, 0.07))
-    solver = Solver(scene)
+    solver = Solver(scene, settings)
     for _ in range(60):
         solver.step(1 / 60)
     return solver, table, tool
+
+
+def poke(solver: Solver, tool: MeshCollider) -> list[int]:
+    """Poke one end and take the ball away; tell how many were awake after each step."""
+    awake = []
+    for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
+        tool.set_pose(at(0.09, 0, height))
+        solver.step(1 / 60)
+        awake.append(solver.diagnostics().awake)
+    return awake
 
 
 def weight(solver: Solver) -> float:
@@ -32,14 +42,10 @@ def weight(solver: Solver) -> float:
 
 @pytest.fixture(scope="module")
 def poked() -> tuple[Solver, list[int], np.ndarray]:
-    """Poke one end and take the ball away: how many were awake, and the slab before."""
+    """A poked slab, come to rest again: how many were awake, and the slab before."""
     solver, _, tool = slab()
     before = solver.positions()
-    awake = [solver.diagnostics().awake]
-    for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
-        tool.set_pose(at(0.09, 0, height))
-        solver.step(1 / 60)
-        awake.append(solver.diagnostics().awake)
+    awake = [solver.diagnostics().awake, *poke(solver, tool)]
     for _ in range(90):
         solver.step(1 / 60)
     awake.append(solver.diagnostics().awake)
@@ -72,19 +78,9 @@ def test_a_poke_wakes_only_its_surroundings(poked: tuple[Solver, list[int], np.n
 def test_a_dent_is_the_same_beside_sleeping_clay(poked: tuple[Solver, list[int], np.ndarray]):
     """Leave the dent that clay wholly awake would take, without a seam."""
     solver, _, before = poked
-    scene = Scene(SPACING)
-    scene.add_clay(block(SLAB, SPACING), Material())
-    scene.add_plane()
-    sphere = ball(0.01)
-    tool = scene.add_mesh(sphere.vertices, sphere.faces)
-    tool.set_pose(at(0.09, 0, 0.07))
-    awake = Solver(scene, Settings(sleeping=False))
-    for _ in range(60):
-        awake.step(1 / 60)
+    awake, _, tool = slab(Settings(sleeping=False))
     start = awake.positions()
-    for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
-        tool.set_pose(at(0.09, 0, height))
-        awake.step(1 / 60)
+    poke(awake, tool)
     for _ in range(60):
         awake.step(1 / 60)
     dent, expected = solver.positions() - before, awake.positions() - start
