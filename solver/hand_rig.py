@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A hand bound for simulation: its skin, skeleton, tetrahedra and ghosts, all in the rest pose.
+
+After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
+WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterised in the
+rest pose are carried by the tetrahedra around them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+MOST_BONES = 4
+"""Bones that carry one node of the flesh, at most."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandRig:
+    """The rest pose of a hand. Lengths in metres, in world coordinates at the time of binding.
+
+    Points that tetrahedra carry keep four barycentric weights, which add up to one; for points a
+    little outside of their tetrahedron some are negative.
+
+    Raises:
+        ValueError: Arrays do not fit each other, or hold values that are not finite.
+    """
+
+    side: str
+    """Which hand: left or right, or empty where it is not known."""
+    vertices: NDArray[np.float64]
+    """Skin, shape [V, 3]."""
+    faces: NDArray[np.int32]
+    """Triangles of the closed skin, wound outward, shape [F, 3]."""
+    bone_names: tuple[str, ...]
+    """Names of the B bones."""
+    bone_rest: NDArray[np.float64]
+    """World from each bone's own coordinates, shape [B, 4, 4]."""
+    bone_parent: NDArray[np.int32]
+    """Index of each bone's parent, -1 for a root, shape [B]; parents stand before children."""
+    nodes: NDArray[np.float64]
+    """Nodes of the flesh, shape [N, 3]."""
+    tetrahedra: NDArray[np.int32]
+    """Shape [T, 4], of positive volume."""
+    node_bones: NDArray[np.int32]
+    """Bones that carry each node, shape [N, 4]."""
+    node_weights: NDArray[np.float64]
+    """How much each does, rows adding up to one, shape [N, 4]."""
+    vertex_tetrahedron: NDArray[np.int32]
+    """Tetrahedron that carries each vertex of the skin, shape [V]."""
+    vertex_weights: NDArray[np.float64]
+    """Barycentric coordinates in it, shape [V, 4]."""
+    ghost_tetrahedron: NDArray[np.int32]
+    """Tetrahedron that carries each ghost, shape [G]."""
+    ghost_weights: NDArray[np.float64]
+    """Barycentric coordinates in it, shape [G, 4]."""
+    ghost_normals: NDArray[np.float64]
+    """Outward unit normals of ghosts on the surface, zero for those inside, shape [G, 3]."""
+    ghost_areas: NDArray[np.float64]
+    """Skin each ghost stands for [m²], zero for those inside, shape [G]."""
+    ghost_spacing: float
+    """Distance of neighbouring ghosts [m]."""
+
+    def __post_init__(self) -> None:
+        vertices, bones, nodes = len(self.vertices), len(self.bone_names), len(self.nodes)
+        ghosts, tetrahedra = len(self.ghost_tetrahedron), len(self.tetrahedra)
+        expected = {
+            "vertices": (vertices, 3),
+            "faces": (len(self.faces), 3),
+            "bone_rest": (bones, 4, 4),
+            "bone_parent": (bones,),
+            "nodes": (nodes, 3),
+            "tetrahedra": (tetrahedra, 4),
+            "node_bones": (nodes, MOST_BONES),
+            "node_weights": (nodes, MOST_BONES),
+            "vertex_tetrahedron": (vertices,),
+            "vertex_weights": (vertices, 4),
+            "ghost_tetrahedron": (ghosts,),
+            "ghost_weights": (ghosts, 4),
+            "ghost_normals": (ghosts, 3),
+            "ghost_areas": (ghosts,),
+        }
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise ValueError(f"HandRig.{name} has shape {array.shape}; expected {shape}.")
+            if not np.isfinite(array).all():
+                raise ValueError(f"HandRig.{name} has values that are not finite.")
+        for name, count in (
+            ("faces", vertices),
+            ("tetrahedra", nodes),
+            ("node_bones", bones),
+            ("vertex_tetrahedron", tetrahedra),
+            ("ghost_tetrahedron", tetrahedra),
+        ):
+            array = getattr(self, name)
+            if array.size and not (array.min() >= 0 and array.max() < count):
+                raise ValueError(f"HandRig.{name} refers to things that are not there.")
+
+    def skinned_nodes(self, bones: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """Where the bones alone would carry the nodes (linear blend skinning) [m], shape [N, 3].
+
+        Args:
+            bones: World from each bone's own coordinates, by bone name, shape [4, 4]; bones not
+                named stay at rest.
+        """
+        turn = np.tile(np.eye(4), (len(self.bone_names), 1, 1))
+        for index, name in enumerate(self.bone_names):
+            if name in bones:
+                pose = np.asarray(bones[name], np.float64)
+                turn[index] = pose @ np.linalg.inv(self.bone_rest[index])
+        blended = np.einsum("nk,nkij->nij", self.node_weights, turn[self.node_bones])
+        return np.einsum("nij,nj->ni", blended[:, :3, :3], self.nodes) + blended[:, :3, 3]
+
+    def carried_vertices(self, nodes: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Skin where the nodes are there [m], shape [V, 3]."""
+        return _carried(nodes, self.tetrahedra[self.vertex_tetrahedron], self.vertex_weights)
+
+    def carried_ghosts(self, nodes: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Ghosts where the nodes are there [m], shape [G, 3]."""
+        return _carried(nodes, self.tetrahedra[self.ghost_tetrahedron], self.ghost_weights)
+
+    def to_arrays(self) -> dict[str, NDArray]:
+        """Everything as plain arrays, for `from_arrays` and for files."""
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray]) -> HandRig:
+        """Build the rig that `to_arrays` gave.
+
+        Raises:
+            ValueError: An array is missing or does not fit; the message names it.
+        """
+        missing = [field.name for field in fields(cls) if field.name not in arrays]
+        if missing:
+            raise ValueError(f"The stored hand lacks {', '.join(missing)}; bind it again.")
+        values: dict[str, Any] = {field.name: arrays[field.name] for field in fields(cls)}
+        values["side"] = str(values["side"])
+        values["bone_names"] = tuple(str(name) for name in values["bone_names"])
+        values["ghost_spacing"] = float(values["ghost_spacing"])
+        return cls(**values)
+
+
+def _carried(
+    nodes: NDArray[np.floating], corners: NDArray[np.int32], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    return np.einsum("gk,gkd->gd", weights, np.asarray(nodes, np.float64)[corners])
