@@ -4,14 +4,19 @@
 After the semi-permanent distance constraints of Barreiro, Torres and Otaduy, *Natural Tactile
 Interaction with Virtual Clay*, WHC 2021 (eq. 5), with these differences: a bond is a spring of
 physical stiffness instead of a rigid constraint; it yields by stress instead of by a rate of
-separation, so that slow hands can model it too; and it flows with the material's viscosity, which
-takes the place of the strain-rate constraint (eqs. 3 and 4).
+separation, so that slow hands can model it too.
 
 How much flows is decided by each particle: from its bonds it has a stress, and where the shear of
 that (von Mises) is more than the yield stress, the stretch of all its bonds relaxes by one share
 (radial return; Simo and Hughes, *Computational Inelasticity*, 1998, section 3.3), such that the
-stress left is that of a Herschel-Bulkley fluid at the rate at which it flows. So the yield stress
-is that of shear in any direction, whatever the bonds' arrangement, and nothing is fitted.
+yield stress is left. So the yield stress is that of shear in any direction, whatever the bonds'
+arrangement, and nothing is fitted.
+
+Viscosity acts beside the bonds, between all pairs, on the rate at which they part or close: it
+takes the place of the strain-rate constraint (eqs. 3 and 4). It must not act on the flow of bonds:
+clay that flows far also breaks bonds and forms new ones, and what flows in that way would feel
+none. A network of dampers c on lines of length l has the shear viscosity Σ c l² / 30 V (the same
+sum as for the modulus of a network of springs), from which each particle's c follows.
 """
 
 import numpy as np
@@ -28,6 +33,9 @@ FORM_REACH = 1.25
 """Free pairs closer than this become bonded, in spacings."""
 BREAK_LENGTH = 1.9
 """A bond longer than this is gone, in spacings."""
+FADE_LENGTH = 1.5
+"""A bond longer than this holds less and less, in spacings: one that broke under its full load
+would take that from the clay at once."""
 SHORTEST_LENGTH = 0.6
 """Rest lengths never fall below this, in spacings."""
 DWELL = 2.0
@@ -40,20 +48,25 @@ FORGETTING = 20.0
 volume: the pressure keeps the volume, and bonds that did too would resist shear with it."""
 SOFTEST = 0.05
 """The least secant stiffness of a flowing bond over the elastic one."""
+LEAST_SQUARES = 24.0
+"""Least sum of squared pair lengths over d² that viscosity is shared out by: half of that inside."""
+MOST_REACH = 64.0
+"""Viscosity acts as if it were no higher than what carries motion this far in a substep, in
+spacings: no more could be solved for."""
+SLOWEST_RATE = 0.01
+"""Strain rate below which clay that thins as it flows grows no thicker [1/s]."""
 BULK_OVER_SHEAR = 3.0
 """Bulk modulus over shear modulus: clay hardly compresses."""
 
 
 @wp.struct
 class PairLaw:
-    """How particles of two given materials act on each other, for one time step."""
+    """How particles of two given materials act on each other."""
 
     stiffness: float
     """Bond stiffness [N/m]."""
     tension_stretch: float
     """Total stretch that a bond can carry in tension [m]."""
-    draw: float
-    """Part of the stretch beyond that by which a bond draws out in one substep."""
 
 
 @wp.struct
@@ -69,7 +82,7 @@ class Body:
     yield_stress: float
     """[Pa]"""
     consistency: float
-    """Stress beyond the yield stress at a strain rate of 1/s [Pa]."""
+    """Viscous stress at a strain rate of 1/s [Pa]."""
     flow_index: float
     """Power of the strain rate."""
 
@@ -85,7 +98,11 @@ class Clay:
     """1 over the sum of (1 - r/h)³ at rest."""
     form_reach: float
     break_length: float
+    inverse_fade: float
+    """1 over the length on which bonds fade [1/m]."""
     shortest_length: float
+    most_damping: float
+    """Of a pair, over mass [1/s]."""
     dwell: float
     material_count: int
     bonds: int
@@ -102,41 +119,51 @@ class BondFlow:
 
 
 @wp.func
-def flow_rate(stiff: float, consistency: float, index: float, excess: float) -> float:
-    """Solve stiff·x + consistency·x^index = excess for the rate x [1/s]."""
-    rate = excess / (stiff + consistency)
-    if index != 1.0 and consistency > 0.0:
-        rate = wp.min(excess / stiff, wp.pow(excess / consistency, 1.0 / index))
-        if index < 1.0:
-            # From below, Newton's method stays below: the left side is concave.
-            rate *= wp.pow(2.0, -1.0 / index)
-        for _ in range(4):
-            drag = consistency * wp.pow(rate, index)
-            rate += (excess - stiff * rate - drag) / (stiff + index * drag / rate)
-    return rate
-
-
-@wp.func
-def flow_share(clay: Clay, body: Body, lengths: float, stretch: wp.mat33) -> float:
+def flow_share(clay: Clay, body: Body, stretch: wp.mat33) -> float:
     """The yield law: part of their stretch that a particle's bonds lose in one substep.
 
     Args:
         clay: What all pairs share.
         body: The particle's values.
-        lengths: Sum of the bonds' squared rest lengths [m²].
         stretch: Sum of stretch times length times the dyad of the direction [m²].
     """
     shear = stretch - wp.identity(n=3, dtype=float) * (wp.trace(stretch) / 3.0)
     # Each bond belongs to two particles; its stiffness is the shear modulus times the spacing.
     area = clay.spacing * clay.spacing
     stress = 0.5 * body.shear_modulus / area * wp.sqrt(0.5 * wp.ddot(shear, shear))
-    excess = stress - body.yield_stress
     share = float(0.0)
-    if excess > 0.0:
-        # The shear modulus of the bonds that are there.
-        stiff = body.shear_modulus * lengths / (30.0 * area) * clay.time_step
-        share = stiff * flow_rate(stiff, body.consistency, body.flow_index, excess) / stress
+    if stress > body.yield_stress:
+        share = 1.0 - body.yield_stress / stress
     return share
+
+
+@wp.func
+def pair_damping(clay: Clay, body: Body, squares: float, parting: float, rates: float) -> float:
+    """A particle's damping of its pairs [N s/m], from its viscosity at the present strain rate.
+
+    Args:
+        clay: What all pairs share.
+        body: The particle's values.
+        squares: Sum of the pairs' squared lengths [m²].
+        parting: Sum of length times speed of parting [m²/s].
+        rates: Sum of the squared speeds of parting [m²/s²].
+    """
+    # Few neighbours do not make a particle stiffer than a thread of clay is.
+    lengths = wp.max(squares, LEAST_SQUARES * clay.spacing * clay.spacing)
+    viscosity = body.consistency
+    if body.flow_index != 1.0:
+        # Pairs of all directions part at rates whose mean square is 2/15 of D : D.
+        mean = parting / lengths
+        rate = wp.sqrt(wp.max(15.0 * (rates / lengths - mean * mean), 0.0))
+        viscosity *= wp.pow(wp.max(rate, SLOWEST_RATE), body.flow_index - 1.0)
+    damping = 30.0 * clay.spacing * clay.spacing * clay.spacing * viscosity / lengths
+    return wp.min(damping, body.mass * clay.most_damping)
+
+
+@wp.func
+def bond_hold(clay: Clay, rest_length: float) -> float:
+    """How much of its stiffness a bond has, by its rest length [m]."""
+    return wp.clamp((clay.break_length - rest_length) * clay.inverse_fade, 0.0, 1.0)
 
 
 @wp.func
@@ -168,8 +195,8 @@ def flow_bond(
     softening = 1.0 - share
     overstretch = stretch - flow - law.tension_stretch
     if overstretch > 0.0:
-        flow += overstretch * law.draw
-        softening = wp.min(softening, 1.0 - law.draw * overstretch / stretch)
+        flow += overstretch
+        softening = wp.min(softening, 1.0 - overstretch / stretch)
     bond = BondFlow()
     bond.rest_length = wp.max(rest_length + flow, clay.shortest_length)
     # The consistent tangent of a yielding bond is near zero and lets Newton's method run away; the
@@ -215,9 +242,7 @@ def make_bodies(materials: list[Material], settings: Settings, spacing: float) -
     return bodies
 
 
-def make_pair_laws(
-    materials: list[Material], settings: Settings, spacing: float, time_step: float
-) -> list[PairLaw]:
+def make_pair_laws(materials: list[Material], spacing: float) -> list[PairLaw]:
     """The law of every ordered pair of materials, row by row.
 
     The weaker of two materials decides how much tension their bond bears; stiffness is the
@@ -231,8 +256,6 @@ def make_pair_laws(
             law.stiffness = shear * spacing
             tension = min(one.tension_limit, two.tension_limit)
             law.tension_stretch = TENSION * tension * spacing**2 / law.stiffness
-            viscosity = 0.5 * (one.viscosity + two.viscosity) if settings.viscosity else 0.0
-            law.draw = time_step / (time_step + viscosity * spacing / law.stiffness)
             laws.append(law)
     return laws
 
@@ -251,7 +274,9 @@ def make_clay(
     clay.inverse_rest_sum = 1.0 / rest_kernel_sum()
     clay.form_reach = FORM_REACH * spacing
     clay.break_length = BREAK_LENGTH * spacing
+    clay.inverse_fade = 1.0 / ((BREAK_LENGTH - FADE_LENGTH) * spacing)
     clay.shortest_length = SHORTEST_LENGTH * spacing
+    clay.most_damping = MOST_REACH**2 / time_step
     clay.dwell = DWELL
     clay.material_count = material_count
     clay.bonds = int(settings.elastoplasticity)

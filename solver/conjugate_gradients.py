@@ -13,8 +13,9 @@ from . import conjugate_gradients_cpu
 from .awake import Awake, awake_particle
 from .bond_law import Clay
 from .coarse_space import CoarseSpace, add_to_modes, prolong
+from .pair_rows import motion
 from .pairs import Pairs
-from .particles import ByPart, Particles, zero_vectors
+from .particles import ByPart, Particles
 from .solve_data import Solve
 
 
@@ -63,8 +64,8 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
         before = residual_size(solve, awake.part, iteration - 1)
         if before > wp.float64(0.0):
             now = residual_size(solve, awake.part, iteration)
-            z += solve.direction[i] * float(now / before)
-    solve.direction[i] = z
+            z += motion(solve.direction[i]) * float(now / before)
+    solve.direction[i] = wp.vec4(z[0], z[1], z[2], 0.0)
 
 
 @wp.kernel(enable_backward=False)
@@ -79,7 +80,7 @@ def advance(awake: Awake, iteration: int, solve: Solve) -> None:
         curvature += solve.curvature[part, iteration]
     if curvature > wp.float64(0.0):
         length = float(residual_size(solve, awake.part, iteration) / curvature)
-    solve.change[i] = solve.change[i] + solve.direction[i] * length
+    solve.change[i] = solve.change[i] + motion(solve.direction[i]) * length
     missing = solve.residual[i] - solve.product[i] * length
     precondition(solve, awake.part, i, missing, iteration + 1)
 
@@ -117,14 +118,13 @@ class ConjugateGradients:
         solve = Solve()
         for name in ("residual", "z", "product", "change"):
             setattr(solve, name, wp.zeros(count, dtype=wp.vec3, device=device))
-        solve.direction = zero_vectors(count, device)
+        solve.direction = wp.zeros(count, dtype=wp.vec4, device=device)
         solve.inverse = wp.zeros(count, dtype=wp.mat33, device=device)
         for name in ("size", "curvature", "coarse_size"):
             shape = (particles.parts, most_iterations + 1)
             setattr(solve, name, wp.zeros(shape, dtype=wp.float64, device=device))
         solve.position = particles.position
         self.data = solve
-        self.pressure_change = wp.zeros(count, dtype=float, device=device)
 
     @property
     def residual(self) -> wp.array:
@@ -174,7 +174,6 @@ class ConjugateGradients:
                 bodies,
                 own_block,
                 data.direction,
-                self.pressure_change,
                 data.product,
                 data.curvature,
                 iteration,

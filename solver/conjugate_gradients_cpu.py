@@ -141,7 +141,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
 """,
         """
     const float* z = preconditioned + 3 * (long long)i;
-    float* direction = directions + 3 * (long long)i;
+    float* direction = directions + 4 * (long long)i;
     float x = z[0] + direction[0] * ratio;
     float y = z[1] + direction[1] * ratio;
     float w = z[2] + direction[2] * ratio;
@@ -149,6 +149,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     direction[0] = x;
     direction[1] = y;
     direction[2] = w;
+    direction[3] = 0.f;
 """,
     )
 )
@@ -171,7 +172,7 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     if (curvature > 0.0) length = (float)(residual_size(iteration) / curvature);
 """,
         """
-    const float* direction = directions + 3 * (long long)i;
+    const float* direction = directions + 4 * (long long)i;
     const float* product = (const float*)solve.product.data + 3 * (long long)i;
     float* change = changes + 3 * (long long)i;
     float* r = residuals + 3 * (long long)i;

@@ -17,12 +17,18 @@ from .bond_law import (
     Body,
     Clay,
     PairLaw,
+    bond_hold,
     flow_bond,
     flow_share,
     kernel_slope,
     kernel_value,
+    pair_damping,
 )
 
+COMPRESSION = wp.constant(0)
+DILATION = wp.constant(1)
+SHARE = wp.constant(2)
+DAMPING = wp.constant(3)
 MOST_SLOTS = 96
 """Neighbours a particle can list: clay at three times its density within two spacings."""
 
@@ -53,21 +59,26 @@ class PairRows:
     distance_next: wp.array[float]
     """At its end [m]."""
     stiffness: wp.array[float]
-    """Tangent of the bond [kg]: force derivative times Δt²."""
+    """Tangent of bond and damping [kg]: force derivative times Δt²."""
     slope: wp.array[float]
     """How fast the pair's share of the density falls with distance [1/m]."""
-    dilation: wp.array[float]
-    """Mean linear strain of a particle's bonds."""
-    share: wp.array[float]
-    """Part of their stretch that a particle's bonds lose by flow in the substep."""
-    compression: wp.array[float]
-    """Density over that at rest, less one, where positive."""
+    condition: wp.array[wp.vec4]
+    """What the others must know of a particle, one behind the other for vector units: at
+    `COMPRESSION` density over that at rest, less one, where positive; at `DILATION` the mean linear
+    strain of its bonds; at `SHARE` the part of their stretch that its bonds lose by flow in the
+    substep; at `DAMPING` its damping of the parting of pairs [N s/m]."""
 
 
 @wp.func
 def pair_direction(pairs: PairRows, slot: int) -> wp.vec3:
     """Unit vector from a particle to the other end of a pair."""
     return wp.vec3(pairs.direction_x[slot], pairs.direction_y[slot], pairs.direction_z[slot])
+
+
+@wp.func
+def motion(direction: wp.vec4) -> wp.vec3:
+    """The motion of a particle in a direction of search, without the change of its pressure."""
+    return wp.vec3(direction[0], direction[1], direction[2])
 
 
 @wp.func
@@ -164,21 +175,33 @@ def measure_row(
     v = velocity[i]
     density = clay.inverse_rest_sum
     lengths = float(0.0)
+    squares = float(0.0)
+    parting = float(0.0)
+    rates = float(0.0)
     stretch = wp.mat33()
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         closing = velocity[pairs.other[slot]] - v
         n = pair_direction(pairs, slot)
-        way = n * pairs.distance[slot] + closing * clay.time_step
-        apart = wp.length(way)
+        before = pairs.distance[slot]
+        apart = wp.length(n * before + closing * clay.time_step)
         pairs.distance_next[slot] = apart
         density += kernel_value(clay, apart)
+        speed = wp.dot(n, closing)
+        squares += apart * apart
+        parting += apart * speed
+        rates += speed * speed
         rest = pairs.rest_length[slot]
         if rest > 0.0:
-            lengths += rest * rest
-            stretch += wp.outer(n, n) * ((apart - rest) * apart)
-    pairs.dilation[i] = wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing)
-    pairs.share[i] = flow_share(clay, bodies[material[i]], lengths, stretch)
-    pairs.compression[i] = wp.max(density - 1.0, 0.0)
+            hold = bond_hold(clay, rest)
+            lengths += hold * rest * rest
+            stretch += wp.outer(n, n) * (hold * (apart - rest) * apart)
+    body = bodies[material[i]]
+    pairs.condition[i] = wp.vec4(
+        wp.max(density - 1.0, 0.0),
+        wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing),
+        flow_share(clay, body, stretch),
+        pair_damping(clay, body, squares, parting, rates),
+    )
 
 
 @wp.kernel(enable_backward=False)
@@ -234,9 +257,8 @@ def sum_forces(
     dt = clay.time_step
     own = material[i]
     body = bodies[own]
-    compression = pairs.compression[i]
-    dilation = pairs.dilation[i]
-    share = pairs.share[i]
+    condition = pairs.condition[i]
+    compression = condition[COMPRESSION]
     pressure = body.pressure_stiffness * compression
     force = wp.vec3()
     slope_sum = wp.vec3()
@@ -246,25 +268,20 @@ def sum_forces(
         apart = pairs.distance_next[slot]
         n = pair_direction(pairs, slot)
         a = kernel_slope(clay, apart)
-        other_compression = pairs.compression[j]
+        mean = 0.5 * (condition + pairs.condition[j])
+        other_compression = pairs.condition[j][COMPRESSION]
         other_stiffness = bodies[material[j]].pressure_stiffness
-        pull = -(pressure + other_stiffness * other_compression) * a
-        k = float(0.0)
+        speed = (apart - pairs.distance[slot]) / dt
+        pull = mean[DAMPING] * speed - (pressure + other_stiffness * other_compression) * a
+        k = mean[DAMPING] * dt
         rest = pairs.rest_length[slot]
         if rest > 0.0:
             law = pair_laws[own * clay.material_count + material[j]]
-            pressed = compression + other_compression > 0.0
-            bond = flow_bond(
-                clay,
-                law,
-                rest,
-                apart,
-                0.5 * (dilation + pairs.dilation[j]),
-                0.5 * (share + pairs.share[j]),
-                pressed,
-            )
-            pull += law.stiffness * (apart - bond.rest_length)
-            k = law.stiffness * bond.softening * dt * dt
+            pressed = mean[COMPRESSION] > 0.0
+            bond = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
+            stiffness = law.stiffness * bond_hold(clay, rest)
+            pull += stiffness * (apart - bond.rest_length)
+            k += stiffness * bond.softening * dt * dt
         force += n * pull
         pairs.stiffness[slot] = k
         pairs.slope[slot] = a
@@ -300,13 +317,13 @@ def flow_pairs(
         if rest > 0.0:
             j = pairs.other[slot]
             law = pair_laws[material[i] * clay.material_count + material[j]]
-            pressed = pairs.compression[i] + pairs.compression[j] > 0.0
-            dilation = 0.5 * (pairs.dilation[i] + pairs.dilation[j])
-            share = 0.5 * (pairs.share[i] + pairs.share[j])
+            mean = 0.5 * (pairs.condition[i] + pairs.condition[j])
+            pressed = mean[COMPRESSION] > 0.0
             closing = velocity[j] - velocity[i]
             way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
             apart = wp.length(way)
-            rest = flow_bond(clay, law, rest, apart, dilation, share, pressed).rest_length
+            flowed = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
+            rest = flowed.rest_length
             if wp.max(apart, rest) > clay.break_length:
                 rest = 0.0
             pairs.rest_length[slot] = rest
@@ -319,21 +336,20 @@ def press_pairs(
     material: wp.array[int],
     time_step: float,
     pairs: PairRows,
-    direction: wp.array[wp.vec3],
-    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec4],
 ) -> None:
-    """How a motion changes the pressure of compressed particles [kg m]."""
+    """How a motion changes the pressure of compressed particles; kept beside the motion."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
     total = float(0.0)
-    if pairs.compression[i] > 0.0:
-        p = direction[i]
+    p = direction[i]
+    if pairs.condition[i][COMPRESSION] > 0.0:
         for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-            closing = wp.dot(pair_direction(pairs, slot), p - direction[pairs.other[slot]])
-            total += pairs.slope[slot] * closing
-    scale = bodies[material[i]].pressure_stiffness * time_step * time_step
-    pressure_change[i] = total * scale
+            way = motion(p) - motion(direction[pairs.other[slot]])
+            total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), way)
+    p[3] = total * bodies[material[i]].pressure_stiffness * time_step * time_step
+    direction[i] = p
 
 
 @wp.kernel(enable_backward=False)
@@ -341,8 +357,7 @@ def multiply_pairs(
     awake: Awake,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
-    pressure_change: wp.array[float],
-    direction: wp.array[wp.vec3],
+    direction: wp.array[wp.vec4],
     product: wp.array[wp.vec3],
     curvature: wp.array2d[wp.float64],
     iteration: int,
@@ -351,14 +366,14 @@ def multiply_pairs(
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    p = direction[i]
+    p = motion(direction[i])
     total = own_block[i] * p
-    own = pressure_change[i]
+    own = direction[i][3]
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
         n = pair_direction(pairs, slot)
-        closing = wp.dot(n, p - direction[j])
-        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + pressure_change[j])
+        closing = wp.dot(n, p - motion(direction[j]))
+        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + direction[j][3])
         total += n * pull
     product[i] = total
     wp.atomic_add(curvature, awake.part, iteration, wp.float64(wp.dot(total, p)))

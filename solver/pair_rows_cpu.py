@@ -9,12 +9,26 @@ pair of a row have no stiffness and no slope, so that they add nothing.
 import warp as wp
 
 from .awake import Awake
-from .bond_law import FORGETTING, SOFTEST, Body, Clay, PairLaw
+from .bond_law import (
+    FORGETTING,
+    LEAST_SQUARES,
+    SLOWEST_RATE,
+    SOFTEST,
+    Body,
+    Clay,
+    PairLaw,
+)
 from .pair_rows import PairRows, lay_row, measure_row, sort_row
 from .vector_units import BLOCK, OPTIONS, for_one, over_block
 
 wp.set_module_options(OPTIONS)
 
+_HOLD = """
+    // `bond_law.bond_hold`
+    auto bond_hold = [&](f8 rest) __attribute__((always_inline)) {
+        return least(most((clay.break_length - rest) * clay.inverse_fade, zero), (f8)(1.f));
+    };
+"""
 _ROW = """
     const int acting = pairs.acting.data[i];
     const int end = (acting + 7) & ~7;
@@ -30,45 +44,44 @@ _ROW = """
     float* __restrict__ slope = pairs.slope.data + row;
 """
 
-# How a particle's volume and stress are summed up while its pairs are measured, and
-# `bond_law.flow_share`.
-_MEASURE_SETUP = """
+# How a particle's volume, stress and strain rate are summed up while its pairs are measured, then
+# `bond_law.flow_share` and `bond_law.pair_damping`.
+_MEASURE_SETUP = (
+    _HOLD
+    + """
     const float* __restrict__ v = (const float*)velocity.data;
     const float dt = clay.time_step, inverse_radius = 1.f / clay.kernel_radius;
     const float area = clay.spacing * clay.spacing;
-    // `bond_law.flow_rate`
-    auto flow_rate = [](float stiff, float consistency, float index, float excess) {
-        float rate = excess / (stiff + consistency);
-        if (index != 1.f && consistency > 0.f) {
-            const float slow = __builtin_powf(excess / consistency, 1.f / index);
-            rate = excess / stiff < slow ? excess / stiff : slow;
-            if (index < 1.f) rate *= __builtin_powf(2.f, -1.f / index);
-            for (int k = 0; k < 4; k++) {
-                const float drag = consistency * __builtin_powf(rate, index);
-                rate += (excess - stiff * rate - drag) / (stiff + index * drag / rate);
-            }
-        }
-        return rate;
-    };
-"""
+    const float least_squares = least_squares_over_area * area;
+""".replace("least_squares_over_area", f"{LEAST_SQUARES}f")
+)
 _MEASURE = """
     const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
-    f8 density = zero, lengths = zero;
+    f8 density = zero, lengths = zero, squares = zero, parting = zero, rates = zero;
     f8 xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
     auto measure = [&](int e, i8 live, f8 x, f8 y, f8 z, f8 before) __attribute__((always_inline)) {
         f8 wx, wy, wz;
         pick3(v, other + e, wx, wy, wz);
-        wx = x * before + (wx - vx) * dt;
-        wy = y * before + (wy - vy) * dt;
-        wz = z * before + (wz - vz) * dt;
-        const f8 apart = root(wx * wx + wy * wy + wz * wz);
+        wx -= vx;
+        wy -= vy;
+        wz -= vz;
+        const f8 speed = live ? x * wx + y * wy + z * wz : zero;
+        wx = x * before + wx * dt;
+        wy = y * before + wy * dt;
+        wz = z * before + wz * dt;
+        const f8 square = wx * wx + wy * wy + wz * wz;
+        const f8 apart = root(square);
         const f8 rest = load(rests + e);
         const i8 bonded = live & (rest > 0.f);
         f8 t = most(1.f - apart * inverse_radius, zero);
         t = live ? t : zero;
         density += t * t * t;
-        lengths += bonded ? rest * rest : zero;
-        const f8 w = bonded ? (apart - rest) * apart : zero;
+        squares += live ? square : zero;
+        parting += apart * speed;
+        rates += speed * speed;
+        f8 w = bonded ? bond_hold(rest) : zero;
+        lengths += w * rest * rest;
+        w *= (apart - rest) * apart;
         xx += x * x * w;
         xy += x * y * w;
         xz += x * z * w;
@@ -79,43 +92,46 @@ _MEASURE = """
     };
     auto keep_measures = [&]() __attribute__((always_inline)) {
         const float dense = (1.f + sum(density)) * clay.inverse_rest_sum - 1.f;
-        const float square = sum(lengths);
+        const float bonds = sum(lengths), least_bonds = 1e-12f * area;
         const float sxx = sum(xx), syy = sum(yy), szz = sum(zz);
         const float sxy = sum(xy), sxz = sum(xz), syz = sum(yz), trace = sxx + syy + szz;
-        const float least_square = 1e-12f * area;
-        pairs.compression.data[i] = dense > 0.f ? dense : 0.f;
-        pairs.dilation.data[i] = trace / (square > least_square ? square : least_square);
         const auto& body = bodies.data[material.data[i]];
         const float mean = trace * (1.f / 3.f);
         const float dx = sxx - mean, dy = syy - mean, dz = szz - mean;
         const float norm = 0.5f * (dx * dx + dy * dy + dz * dz) + sxy * sxy + sxz * sxz + syz * syz;
         const float stress = 0.5f * body.shear_modulus / area * __builtin_sqrtf(norm);
-        const float excess = stress - body.yield_stress;
-        float share = 0.f;
-        if (excess > 0.f) {
-            const float stiff = body.shear_modulus * square / (30.f * area) * dt;
-            share = stiff * flow_rate(stiff, body.consistency, body.flow_index, excess) / stress;
+        float reach = sum(squares);
+        reach = reach > least_squares ? reach : least_squares;
+        float viscosity = body.consistency;
+        if (body.flow_index != 1.f) {
+            const float growth = sum(parting) / reach;
+            const float rate = 15.f * (sum(rates) / reach - growth * growth);
+            const float slowest = slowest_rate * slowest_rate;
+            viscosity *= __builtin_powf(rate > slowest ? rate : slowest,
+                0.5f * (body.flow_index - 1.f));
         }
-        pairs.share.data[i] = share;
+        float* condition = (float*)pairs.condition.data + 4 * (long long)i;
+        condition[0] = dense > 0.f ? dense : 0.f;
+        condition[1] = trace / (bonds > least_bonds ? bonds : least_bonds);
+        condition[2] = stress > body.yield_stress ? 1.f - body.yield_stress / stress : 0.f;
+        const float damping = 30.f * area * clay.spacing * viscosity / reach;
+        const float most_damping = body.mass * clay.most_damping;
+        condition[3] = damping < most_damping ? damping : most_damping;
     };
-"""
+""".replace("slowest_rate", f"{SLOWEST_RATE}f")
 
 # `bond_law.flow_bond`, eight bonds at a time.
 _LAW_SETUP = """
     const bool uniform = clay.material_count == 1;
-    const float* __restrict__ dilations = pairs.dilation.data;
-    const float* __restrict__ shares = pairs.share.data;
-    const float* __restrict__ compressions = pairs.compression.data;
+    const float* __restrict__ conditions = (const float*)pairs.condition.data;
     f8 law_stiffness = (f8)(pair_laws.data[0].stiffness);
     f8 law_tension = (f8)(pair_laws.data[0].tension_stretch);
-    f8 law_draw = (f8)(pair_laws.data[0].draw);
     auto take_laws = [&](int i, const int* other) __attribute__((always_inline)) {
         const auto* laws = pair_laws.data + (long long)material.data[i] * clay.material_count;
         for (int l = 0; l < 8; l++) {
             const auto& law = laws[material.data[other[l]]];
             law_stiffness[l] = law.stiffness;
             law_tension[l] = law.tension_stretch;
-            law_draw[l] = law.draw;
         }
     };
     auto flow_bond = [&](f8 rest, f8 apart, f8 dilation, f8 share, i8 pressed, f8& softening)
@@ -127,9 +143,9 @@ _LAW_SETUP = """
         flow += forgets ? volume_stretch * least(share * forgetting, (f8)(1.f)) : zero;
         const f8 over = stretch - flow - law_tension;
         const i8 draws = over > 0.f;
-        flow += draws ? over * law_draw : zero;
+        flow += draws ? over : zero;
         softening = 1.f - share;
-        const f8 drawn = 1.f - law_draw * over / (draws ? stretch : (f8)(1.f));
+        const f8 drawn = 1.f - over / (draws ? stretch : (f8)(1.f));
         softening = draws ? least(softening, drawn) : softening;
         softening = most(softening, (f8)(softest));
         return most(rest + flow, (f8)(clay.shortest_length));
@@ -292,17 +308,19 @@ def measure_pairs(
 
 @wp.func_native(
     over_block(
-        _LAW_SETUP
+        _HOLD
+        + _LAW_SETUP
         + """
-    const float dt = clay.time_step, square = dt * dt;
+    const float dt = clay.time_step, square = dt * dt, per_step = 1.f / dt;
     const float inverse_radius = 1.f / clay.kernel_radius;
     const float slope_scale = 3.f * clay.inverse_rest_sum * inverse_radius;
 """,
         _ROW
         + """
     const auto& body = bodies.data[material.data[i]];
-    const float own_compression = compressions[i];
-    const float own_dilation = 0.5f * dilations[i], own_share = 0.5f * shares[i];
+    const float* condition = conditions + 4 * (long long)i;
+    const float own_compression = condition[0], own_dilation = 0.5f * condition[1];
+    const float own_share = 0.5f * condition[2], own_damping = 0.5f * condition[3];
     const float own_pressure = body.pressure_stiffness * own_compression;
     f8 other_stiffness = (f8)(body.pressure_stiffness);
     f8 fx = zero, fy = zero, fz = zero, sx = zero, sy = zero, sz = zero;
@@ -318,16 +336,20 @@ def measure_pairs(
         const f8 x = load(nx + e), y = load(ny + e), z = load(nz + e);
         const f8 t = most(1.f - apart * inverse_radius, zero);
         const f8 a = live ? t * t * slope_scale : zero;
-        const f8 compression = pick(compressions, other + e);
-        const f8 dilation = own_dilation + 0.5f * pick(dilations, other + e);
-        const f8 share = own_share + 0.5f * pick(shares, other + e);
+        f8 compression, dilation, share, damping;
+        pick4(conditions, other + e, compression, dilation, share, damping);
+        dilation = own_dilation + 0.5f * dilation;
+        share = own_share + 0.5f * share;
+        damping = live ? own_damping + 0.5f * damping : zero;
         const i8 bonded = live & (rest > 0.f);
         f8 softening;
         const i8 pressed = own_compression + compression > 0.f;
         const f8 flowed = flow_bond(rest, apart, dilation, share, pressed, softening);
-        f8 pull = -(own_pressure + other_stiffness * compression) * a;
-        pull += bonded ? law_stiffness * (apart - flowed) : zero;
-        const f8 k = bonded ? law_stiffness * softening * square : zero;
+        f8 pull = damping * (apart - load(distance + e)) * per_step;
+        pull -= (own_pressure + other_stiffness * compression) * a;
+        const f8 hold = bonded ? law_stiffness * bond_hold(rest) : zero;
+        pull += hold * (apart - flowed);
+        const f8 k = damping * dt + hold * softening * square;
         store(stiffness + e, k);
         store(slope + e, a);
         const f8 w = k + (compression > 0.f ? other_stiffness * square * a * a : zero);
@@ -417,20 +439,21 @@ def sum_forces(
 """,
         _ROW
         + """
+    const float* condition = conditions + 4 * (long long)i;
     const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
     for (int e = 0; e < end; e += 8) {
         if (!uniform) take_laws(i, other + e);
         const f8 rest = load(rests + e), before = load(distance + e);
-        const f8 compression = pick(compressions, other + e);
-        const f8 dilation = 0.5f * (dilations[i] + pick(dilations, other + e));
-        const f8 share = 0.5f * (shares[i] + pick(shares, other + e));
-        f8 x, y, z, softening;
+        f8 compression, dilation, share, damping, x, y, z, softening;
+        pick4(conditions, other + e, compression, dilation, share, damping);
+        dilation = 0.5f * (condition[1] + dilation);
+        share = 0.5f * (condition[2] + share);
         pick3(v, other + e, x, y, z);
         x = load(nx + e) * before + (x - vx) * dt;
         y = load(ny + e) * before + (y - vy) * dt;
         z = load(nz + e) * before + (z - vz) * dt;
         const f8 apart = root(x * x + y * y + z * z);
-        const i8 pressed = compressions[i] + compression > 0.f;
+        const i8 pressed = condition[0] + compression > 0.f;
         f8 flowed = flow_bond(rest, apart, dilation, share, pressed, softening);
         flowed = most(apart, flowed) > clay.break_length ? zero : flowed;
         const i8 bonded = (lanes + e < acting) & (rest > 0.f);
@@ -464,34 +487,32 @@ def flow_pairs(
 
 
 _DIRECTION = """
-    const float px = p[3 * i], py = p[3 * i + 1], pz = p[3 * i + 2];
+    const float px = p[4 * i], py = p[4 * i + 1], pz = p[4 * i + 2];
 """
 
 
 @wp.func_native(
     over_block(
         """
-    const float* __restrict__ p = (const float*)direction.data;
+    float* p = (float*)direction.data;
     const float square = time_step * time_step;
 """,
         """
-    if (pairs.compression.data[i] <= 0.f) {
-        pressure_change.data[i] = 0.f;
-        continue;
-    }
+    // Those that are not compressed have no change already.
+    if (pairs.condition.data[i][0] <= 0.f) continue;
 """
         + _ROW
         + _DIRECTION
         + """
     f8 total = zero;
     for (int e = 0; e < end; e += 8) {
-        f8 x, y, z;
-        pick3(p, other + e, x, y, z);
+        f8 x, y, z, w;
+        pick4(p, other + e, x, y, z, w);
         total += load(slope + e)
             * (load(nx + e) * (px - x) + load(ny + e) * (py - y) + load(nz + e) * (pz - z));
     }
     const float scale = bodies.data[material.data[i]].pressure_stiffness * square;
-    pressure_change.data[i] = sum(total) * scale;
+    p[4 * i + 3] = sum(total) * scale;
 """,
     )
 )
@@ -502,8 +523,7 @@ def press_block(
     material: wp.array[int],
     time_step: float,
     pairs: PairRows,
-    direction: wp.array[wp.vec3],
-    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec4],
 ) -> None: ...
 
 
@@ -514,32 +534,30 @@ def press_pairs(
     material: wp.array[int],
     time_step: float,
     pairs: PairRows,
-    direction: wp.array[wp.vec3],
-    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec4],
 ) -> None:
     """`pair_rows.press_pairs`."""
-    press_block(wp.tid(), awake, bodies, material, time_step, pairs, direction, pressure_change)
+    press_block(wp.tid(), awake, bodies, material, time_step, pairs, direction)
 
 
 @wp.func_native(
     over_block(
         """
     const float* __restrict__ p = (const float*)direction.data;
-    const float* __restrict__ pressure = pressure_change.data;
     double energy = 0.0;
 """,
         _ROW
         + _DIRECTION
         + """
-    const float own = pressure[i];
+    const float own = p[4 * i + 3];
     f8 ax = zero, ay = zero, az = zero;
     for (int e = 0; e < end; e += 8) {
-        f8 x, y, z;
-        pick3(p, other + e, x, y, z);
+        f8 x, y, z, pressure;
+        pick4(p, other + e, x, y, z, pressure);
         const f8 dx = load(nx + e), dy = load(ny + e), dz = load(nz + e);
         const f8 closing = dx * (px - x) + dy * (py - y) + dz * (pz - z);
         const f8 pull = load(stiffness + e) * closing
-            + load(slope + e) * (own + pick(pressure, other + e));
+            + load(slope + e) * (own + pressure);
         ax += dx * pull;
         ay += dy * pull;
         az += dz * pull;
@@ -562,8 +580,7 @@ def multiply_block(
     awake: Awake,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
-    pressure_change: wp.array[float],
-    direction: wp.array[wp.vec3],
+    direction: wp.array[wp.vec4],
     product: wp.array[wp.vec3],
     curvature: wp.array2d[wp.float64],
     iteration: int,
@@ -575,8 +592,7 @@ def multiply_pairs(
     awake: Awake,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
-    pressure_change: wp.array[float],
-    direction: wp.array[wp.vec3],
+    direction: wp.array[wp.vec4],
     product: wp.array[wp.vec3],
     curvature: wp.array2d[wp.float64],
     iteration: int,
@@ -587,7 +603,6 @@ def multiply_pairs(
         awake,
         pairs,
         own_block,
-        pressure_change,
         direction,
         product,
         curvature,

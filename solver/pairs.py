@@ -43,8 +43,7 @@ class Pairs:
         rows = PairRows()
         for name in ("first", "room", "listed", "acting"):
             setattr(rows, name, wp.zeros(count, dtype=int, device=device))
-        for name in ("dilation", "share", "compression"):
-            setattr(rows, name, wp.zeros(count, dtype=float, device=device))
+        rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
         rows.resting = particles.resting
         self.rows = rows
         self.generation = 0
@@ -138,7 +137,6 @@ class Pairs:
         bodies: wp.array,
         own_block: wp.array,
         direction: wp.array,
-        pressure_change: wp.array,
         product: wp.array,
         curvature: wp.array,
         iteration: int,
@@ -149,8 +147,7 @@ class Pairs:
             clay: What all pairs share.
             bodies: What particles of each material have of their own.
             own_block: Mass and contacts alone [kg].
-            direction: What to multiply [m/s].
-            pressure_change: Room for work.
+            direction: What to multiply [m/s]; with room behind for how pressures change.
             product: The product [N s].
             curvature: Direction times product is added to it, by part and iteration [J].
             iteration: Which.
@@ -163,13 +160,11 @@ class Pairs:
             clay.time_step,
             self.rows,
             direction,
-            pressure_change,
         )
         self._launch(
             self._passes.multiply_pairs,
             self.rows,
             own_block,
-            pressure_change,
             direction,
             product,
             curvature,

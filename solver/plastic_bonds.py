@@ -21,7 +21,9 @@ from .coarse_space import CoarseSpace
 from .conjugate_gradients import ConjugateGradients
 from .contact import Contacts
 from .contact_law import ContactPass
+from .material import Material
 from .neighbors import Neighbors
+from .pair_rows import COMPRESSION
 from .pairs import Pairs
 from .particles import Particles
 from .recording import Recordings
@@ -29,36 +31,32 @@ from .settings import BASE_STEP, Settings
 
 SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
-MOST_LAWS = 64
-"""Lengths of substep whose laws are kept."""
-_BY_PARTICLE = ("dilation", "share", "compression")
+MOST_CLAYS = 64
+"""Lengths of substep for which what pairs share is kept."""
 ITERATIONS_PER_REACH = 0.6
-"""Iterations for each spacing that a shear wave runs in a substep."""
+"""Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
 FEWEST_ITERATIONS = 3
 MOST_ITERATIONS = 40
-NEWTON_STEPS = 2
-"""Linearisations in a substep: with one, bonds rupture; more change little (measured)."""
 
 
 @wp.kernel(enable_backward=False)
 def stand_still(
     resting: wp.array[int],
     velocity: wp.array[wp.vec3],
-    direction: wp.array[wp.vec3],
-    pressure_change: wp.array[float],
+    direction: wp.array[wp.vec4],
 ) -> None:
     """Let particles do nothing in any pass that awake neighbours take part in."""
     i = resting[wp.tid()]
     velocity[i] = wp.vec3()
-    direction[i] = wp.vec3()
-    pressure_change[i] = 0.0
+    direction[i] = wp.vec4()
 
 
 class PlasticBonds:
     """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
 
     In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
-    each substep solves for all velocities at once, by two Newton steps of conjugate gradients
+    each substep solves for all velocities at once, by two Newton steps of conjugate gradients (one
+    does not do: friction and yield follow from what the first finds; more change little)
     (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
     doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
     whole-body motion are exact.
@@ -87,11 +85,13 @@ class PlasticBonds:
         # Bonds stay listed however long they are; only those still to form must be found.
         self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
         # One more than needed: a substep may be longer than it should by rounding.
-        most_iterations = self._iterations(BASE_STEP / settings.substeps) + 1
+        most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
         self.gradients = ConjugateGradients(particles, most_iterations)
         self.coarse = CoarseSpace(particles)
         self._recordings = Recordings(particles)
-        self._laws: dict[float, tuple[Clay, wp.array]] = {}
+        self._clays: dict[float, Clay] = {}
+        laws = make_pair_laws(particles.materials, spacing)
+        self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
         if count:
             self.neighbors.rebuild()
             if settings.elastoplasticity:
@@ -107,7 +107,6 @@ class PlasticBonds:
             index,
             self.particles.velocity,
             self.gradients.data.direction,
-            self.gradients.pressure_change,
         ]
         wp.launch(stand_still, dim=len(resting), inputs=inputs, device=self.device)
         self.coarse.release(resting)
@@ -144,31 +143,31 @@ class PlasticBonds:
         self.coarse.invert()
         self._recordings.run((*key, "close"), lambda: self._close(substep))
 
-    def _iterations(self, time_step: float) -> int:
-        """Iterations for substeps of ``time_step`` [s]; shorter ones need no more.
+    def _iterations(self, time_step: float) -> tuple[int, int]:
+        """Iterations in each Newton step, for substeps of ``time_step`` [s].
 
-        What neighbours must pass on grows with the square root of stiffness over inertia; beyond
-        the size of a coarse cell, the coarse space passes it on.
+        They grow with how far a shear wave runs in that time, and how far viscosity carries motion;
+        beyond the size of a coarse cell, the coarse space does. Shorter substeps need no more. The
+        first step only finds where clay yields and what slides: a third as many do (measured).
         """
-        if self.settings.iterations is not None:
-            return self.settings.iterations
-        stiffest = max((m.shear_modulus / m.density for m in self.particles.materials), default=0.0)
-        reach = math.sqrt(stiffest) * time_step / self.particles.spacing
-        return min(max(round(ITERATIONS_PER_REACH * reach), FEWEST_ITERATIONS), MOST_ITERATIONS)
+        last = self.settings.iterations
+        if last is None:
+            farthest = max((_reach(m, time_step) for m in self.particles.materials), default=0.0)
+            last = round(ITERATIONS_PER_REACH * farthest / self.particles.spacing)
+            last = min(max(last, FEWEST_ITERATIONS), MOST_ITERATIONS)
+        return -(-last // 3), last
 
     def _prepare_law(self, time_step: float) -> None:
-        """Take up the laws for a substep; recordings hold on to those made before."""
-        if time_step not in self._laws:
-            if len(self._laws) >= MOST_LAWS:
-                self._laws.clear()
+        """Take up what all pairs share in a substep; recordings hold on to those made before."""
+        if time_step not in self._clays:
+            if len(self._clays) >= MOST_CLAYS:
+                self._clays.clear()
                 self._recordings.clear()
-            materials, spacing = self.particles.materials, self.particles.spacing
-            laws = make_pair_laws(materials, self.settings, spacing, time_step)
-            self._laws[time_step] = (
-                make_clay(self.settings, spacing, len(materials), time_step),
-                wp.array(laws, dtype=PairLaw, device=self.device),
+            particles = self.particles
+            self._clays[time_step] = make_clay(
+                self.settings, particles.spacing, len(particles.materials), time_step
             )
-        self.clay, self.pair_laws = self._laws[time_step]
+        self.clay = self._clays[time_step]
 
     def _open(self, substep: ContactPass) -> None:
         """Everything up to the coarse matrix."""
@@ -181,12 +180,12 @@ class PlasticBonds:
 
     def _close(self, substep: ContactPass) -> None:
         """Newton's method, and what follows from the velocities it finds."""
-        for newton in range(NEWTON_STEPS):
+        for newton, iterations in enumerate(self._iterations(substep.time_step)):
             if newton > 0:
                 self.pairs.measure(self.clay, self.bodies)
                 self._linearize(substep)
             self.gradients.solve(
-                self._iterations(substep.time_step),
+                iterations,
                 self.clay,
                 self.bodies,
                 self.pairs,
@@ -207,7 +206,7 @@ class PlasticBonds:
 
     def compression(self) -> NDArray[np.float32]:
         """Each particle's density over that at rest, less one, where positive; shape [N]."""
-        return self.pairs.rows.compression.numpy()
+        return self.pairs.rows.condition.numpy()[:, COMPRESSION]
 
     @property
     def overflow(self) -> int:
@@ -221,17 +220,21 @@ class PlasticBonds:
     def snapshot(self) -> dict[str, NDArray]:
         """Bonds, and what they have been through."""
         return {
-            **{name: getattr(self.pairs.rows, name).numpy().copy() for name in _BY_PARTICLE},
+            "condition": self.pairs.rows.condition.numpy().copy(),
             **self.neighbors.snapshot(),
             **self.coarse.snapshot(),
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
-        for name in _BY_PARTICLE:
-            getattr(self.pairs.rows, name).assign(state[name])
+        self.pairs.rows.condition.assign(state["condition"])
         self.neighbors.restore(state)
         self.coarse.restore(state)
         # What sleeps must do nothing in any pass.
         self.gradients.data.direction.zero_()
-        self.gradients.pressure_change.zero_()
+
+
+def _reach(material: Material, time_step: float) -> float:
+    """How far clay carries motion in a substep [m]."""
+    wave = material.shear_modulus * time_step**2 / material.density
+    return math.sqrt(wave + material.viscosity * time_step / material.density)

@@ -14,7 +14,9 @@ class Solve:
     """Of each particle's own block [1/kg]."""
     z: wp.array[wp.vec3]
     """The residual preconditioned by blocks [m/s]."""
-    direction: wp.array[wp.vec3]
+    direction: wp.array[wp.vec4]
+    """Direction of search [m/s], and by how much it changes a compressed particle's pressure
+    [kg m/s]."""
     product: wp.array[wp.vec3]
     change: wp.array[wp.vec3]
     """What the solve changes of the velocities [m/s]."""

@@ -56,6 +56,26 @@ VECTORS = """{
         y = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
         z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
     };
+    // Eight vectors of four from anywhere, by component.
+    auto pick4 = [](const float* p, const int* j, f8& x, f8& y, f8& z, f8& w)
+        __attribute__((always_inline)) {
+        const f4 a = *(const f4*)(p + 4 * j[0]), b = *(const f4*)(p + 4 * j[1]);
+        const f4 c = *(const f4*)(p + 4 * j[2]), d = *(const f4*)(p + 4 * j[3]);
+        const f4 e = *(const f4*)(p + 4 * j[4]), f = *(const f4*)(p + 4 * j[5]);
+        const f4 g = *(const f4*)(p + 4 * j[6]), h = *(const f4*)(p + 4 * j[7]);
+        const f8 ae = __builtin_shufflevector(a, e, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 bf = __builtin_shufflevector(b, f, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 cg = __builtin_shufflevector(c, g, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 dh = __builtin_shufflevector(d, h, 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 ab = __builtin_shufflevector(ae, bf, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f8 cd = __builtin_shufflevector(cg, dh, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f8 ab2 = __builtin_shufflevector(ae, bf, 2, 10, 3, 11, 6, 14, 7, 15);
+        const f8 cd2 = __builtin_shufflevector(cg, dh, 2, 10, 3, 11, 6, 14, 7, 15);
+        x = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
+        y = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
+        z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
+        w = __builtin_shufflevector(ab2, cd2, 2, 3, 10, 11, 6, 7, 14, 15);
+    };
 """
 
 

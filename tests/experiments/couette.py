@@ -51,9 +51,9 @@ def couette(
     material: Material | None = None,
     spacing: float = 0.005,
     counts: tuple[int, int, int] = (30, 6, 8),
-    squeeze: float = 0.2,
+    squeeze: float = 0.5,
     frames: int | None = None,
-    jitter: float = 0.0,
+    jitter: float = 0.2,
     settings: Settings | None = None,
     probe: Callable[[Solver, np.ndarray, tuple[float, float, float]], None] | None = None,
 ) -> Couette:
@@ -65,9 +65,11 @@ def couette(
         material: Its friction is replaced by a rough one.
         spacing: Of the particles [m].
         counts: Particles along, across and up.
-        squeeze: How far the plates are brought together first, in spacings.
+        squeeze: How far the plates are brought together first, in spacings; clay that is not
+            pressed may come off them.
         frames: Steps to take; of 1/60 s each where not given.
-        jitter: How far particles start off their lattice, in spacings.
+        jitter: How far particles start off their lattice, in spacings; the layers of a lattice
+            slide over one another with less resistance.
         settings: Of the solver.
         probe: Called after each step with the solver, which particles are in the middle, and
             their strain, rate and stress.
