@@ -18,7 +18,7 @@ from .awake import Awake, awake_particle
 from .coarse_modes import MODES, assemble, rigid_row
 from .grid_boxes import box_of
 from .pairs import Pairs
-from .particles import ByPart, Particles
+from .particles import ByPart, Particles, zeros_with_room
 
 CELL = 8.0
 """Edge of a cell, in spacings."""
@@ -121,7 +121,7 @@ class CoarseSpace:
     def _resize(self, cells: int) -> None:
         self.generation += 1
         size = MODES * cells
-        self.center = wp.zeros(cells, dtype=wp.vec3, device=self.device)
+        self.center = zeros_with_room(cells, wp.vec3, self.device)
         # Vector units add eight numbers where a mode has six.
         parts = self.particles.parts
         self.matrix = wp.zeros((parts, size + 1, size + 8), dtype=float, device=self.device)
@@ -130,7 +130,8 @@ class CoarseSpace:
         else:
             self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
         self.sums = wp.zeros((parts, size), dtype=wp.float64, device=self.device)
-        self.modes = wp.zeros((parts, size), dtype=float, device=self.device)
+        # As above.
+        self.modes = wp.zeros((parts, size + 2), dtype=float, device=self.device)
 
     def place_cells(self, rebuild_count: int) -> None:
         """Lay cells over the particles, unless they still lie well.

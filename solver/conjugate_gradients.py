@@ -15,7 +15,7 @@ from .bond_law import Clay
 from .coarse_space import CoarseSpace, add_to_modes, prolong
 from .pair_rows import motion
 from .pairs import Pairs
-from .particles import ByPart, Particles
+from .particles import ByPart, Particles, zeros_with_room
 from .solve_data import Solve
 
 
@@ -117,9 +117,9 @@ class ConjugateGradients:
         count, device = particles.count, particles.device
         solve = Solve()
         for name in ("residual", "z", "product", "change"):
-            setattr(solve, name, wp.zeros(count, dtype=wp.vec3, device=device))
+            setattr(solve, name, zeros_with_room(count, wp.vec3, device))
         solve.direction = wp.zeros(count, dtype=wp.vec4, device=device)
-        solve.inverse = wp.zeros(count, dtype=wp.mat33, device=device)
+        solve.inverse = zeros_with_room(count, wp.mat33, device)
         for name in ("size", "curvature", "coarse_size"):
             shape = (particles.parts, most_iterations + 1)
             setattr(solve, name, wp.zeros(shape, dtype=wp.float64, device=device))

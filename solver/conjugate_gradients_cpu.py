@@ -18,7 +18,6 @@ _CELLS = """
     const float* __restrict__ centers = (const float*)solve.center.data;
     float* __restrict__ residuals = (float*)solve.residual.data;
     float* __restrict__ preconditioned = (float*)solve.z.data;
-    float* __restrict__ directions = (float*)solve.direction.data;
     float* __restrict__ changes = (float*)solve.change.data;
     const int part = awake.part, parts = solve.size.shape[0];
     const long long pitch = solve.size.strides[0] / sizeof(double);
@@ -33,56 +32,44 @@ _CELLS = """
         return over_parts(solve.size.data, iteration)
             + solve.coarse_size.data[part * pitch + iteration];
     };
-    auto velocity_of_cell = [&](int i, float& x, float& y, float& z)
-        __attribute__((always_inline)) {
+    auto arm = [&](int i, int own) __attribute__((always_inline)) {
+        return load3(positions + 3 * (long long)i) - load3(centers + 3 * own);
+    };
+    auto velocity_of_cell = [&](int i) __attribute__((always_inline)) {
         const int own = solve.cell.data[i];
-        const float* c = centers + 3 * own;
         const float* m = modes + 6 * own;
-        const float* at = positions + 3 * (long long)i;
-        const float ax = at[0] - c[0], ay = at[1] - c[1], az = at[2] - c[2];
-        x += m[0] + m[4] * az - m[5] * ay;
-        y += m[1] + m[5] * ax - m[3] * az;
-        z += m[2] + m[3] * ay - m[4] * ax;
+        return load3(m) + cross(load3(m + 3), arm(i, own));
     };
 """
 
-# Neighbours mostly share a cell: its sums are kept at hand until another comes.
+# Neighbours mostly share a cell: its sums are kept at hand until another comes, in single precision
+# over the few particles of a block.
 _PRECONDITION = """
-    double size_sum = 0.0;
-    double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+    f4 sizes = (f4)(0.f), shift = (f4)(0.f), turn = (f4)(0.f);
     int at_hand = -1;
     auto put_down = [&]() __attribute__((always_inline)) {
         if (at_hand < 0) return;
-        for (int p = 0; p < 6; p++) {
-            cell_sums[6 * at_hand + p] += sums[p];
-            sums[p] = 0.0;
+        double* own = cell_sums + 6 * at_hand;
+        for (int p = 0; p < 3; p++) {
+            own[p] += shift[p];
+            own[p + 3] += turn[p];
         }
+        shift = turn = (f4)(0.f);
     };
-    auto precondition = [&](int i, float x, float y, float z) __attribute__((always_inline)) {
+    auto precondition = [&](int i, f4 r) __attribute__((always_inline)) {
         const float* inverse = (const float*)solve.inverse.data + 9 * (long long)i;
-        const float zx = inverse[0] * x + inverse[1] * y + inverse[2] * z;
-        const float zy = inverse[3] * x + inverse[4] * y + inverse[5] * z;
-        const float zz = inverse[6] * x + inverse[7] * y + inverse[8] * z;
-        float* kept = preconditioned + 3 * (long long)i;
-        kept[0] = zx;
-        kept[1] = zy;
-        kept[2] = zz;
-        size_sum += zx * x + zy * y + zz * z;
+        const f4 z = load3(inverse) * r.x + load3(inverse + 3) * r.y + load3(inverse + 6) * r.z;
+        store3(preconditioned + 3 * (long long)i, z);
+        sizes += z * r;
         const int own = solve.cell.data[i];
         if (own != at_hand) {
             put_down();
             at_hand = own;
         }
-        const float* c = centers + 3 * own;
-        const float* at = positions + 3 * (long long)i;
-        const float ax = at[0] - c[0], ay = at[1] - c[1], az = at[2] - c[2];
-        sums[0] += x;
-        sums[1] += y;
-        sums[2] += z;
-        sums[3] += ay * z - az * y;
-        sums[4] += az * x - ax * z;
-        sums[5] += ax * y - ay * x;
+        shift += r;
+        turn += cross(arm(i, own), r);
     };
+    auto size_sum = [&]() { return (double)((sizes.x + sizes.y) + sizes.z); };
 """
 
 
@@ -109,14 +96,12 @@ _PRECONDITION = """
     inverse[6] = c2 * scale;
     inverse[7] = (a[1] * a[6] - a[0] * a[7]) * scale;
     inverse[8] = (a[0] * a[4] - a[1] * a[3]) * scale;
-    float* change = changes + 3 * (long long)i;
-    change[0] = change[1] = change[2] = 0.f;
-    const float* r = residuals + 3 * (long long)i;
-    precondition(i, r[0], r[1], r[2]);
+    store3(changes + 3 * (long long)i, (f4)(0.f));
+    precondition(i, load3(residuals + 3 * (long long)i));
 """,
         """
     put_down();
-    solve.size.data[part * pitch] += size_sum;
+    solve.size.data[part * pitch] += size_sum();
 """,
     )
 )
@@ -140,16 +125,10 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     }
 """,
         """
-    const float* z = preconditioned + 3 * (long long)i;
-    float* direction = directions + 4 * (long long)i;
-    float x = z[0] + direction[0] * ratio;
-    float y = z[1] + direction[1] * ratio;
-    float w = z[2] + direction[2] * ratio;
-    velocity_of_cell(i, x, y, w);
-    direction[0] = x;
-    direction[1] = y;
-    direction[2] = w;
-    direction[3] = 0.f;
+    f4* direction = (f4*)solve.direction.data + i;
+    f4 next = load3(preconditioned + 3 * (long long)i) + *direction * ratio + velocity_of_cell(i);
+    next.w = 0.f;
+    *direction = next;
 """,
     )
 )
@@ -172,19 +151,17 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     if (curvature > 0.0) length = (float)(residual_size(iteration) / curvature);
 """,
         """
-    const float* direction = directions + 4 * (long long)i;
-    const float* product = (const float*)solve.product.data + 3 * (long long)i;
+    const f4 direction = ((const f4*)solve.direction.data)[i];
     float* change = changes + 3 * (long long)i;
-    float* r = residuals + 3 * (long long)i;
-    for (int k = 0; k < 3; k++) {
-        change[k] += direction[k] * length;
-        r[k] -= product[k] * length;
-    }
-    precondition(i, r[0], r[1], r[2]);
+    float* residual = residuals + 3 * (long long)i;
+    store3(change, load3(change) + direction * length);
+    const f4 r = load3(residual) - load3((const float*)solve.product.data + 3 * (long long)i) * length;
+    store3(residual, r);
+    precondition(i, r);
 """,
         """
     put_down();
-    solve.size.data[part * pitch + iteration + 1] += size_sum;
+    solve.size.data[part * pitch + iteration + 1] += size_sum();
 """,
     )
 )
@@ -201,14 +178,13 @@ def advance(awake: Awake, iteration: int, solve: Solve) -> None:
     over_block(
         _CELLS,
         """
-    float* change = changes + 3 * (long long)i;
+    float* kept = changes + 3 * (long long)i;
     float* v = (float*)velocity.data + 3 * (long long)i;
-    velocity_of_cell(i, change[0], change[1], change[2]);
-    const float all = change[0] + change[1] + change[2];
-    if (!(__builtin_fabsf(all) < __builtin_inff())) change[0] = change[1] = change[2] = 0.f;
-    v[0] += change[0];
-    v[1] += change[1];
-    v[2] += change[2];
+    f4 change = load3(kept) + velocity_of_cell(i);
+    const float all = change.x + change.y + change.z;
+    if (!(__builtin_fabsf(all) < __builtin_inff())) change = (f4)(0.f);
+    store3(kept, change);
+    store3(v, load3(v) + change);
 """,
     )
 )

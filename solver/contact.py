@@ -91,6 +91,7 @@ class Contacts:
         self._impulse_by_part = ByPart.rows(self.impulse) if self.colliders else ByPart()
         self.resting_force = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
         """Of clay that sleeps, on each collider [N]."""
+        self._slept_force = wp.zeros_like(self.resting_force)
         self.deepest = wp.zeros((particles.parts, 1), dtype=float, device=device)
         """How far any particle's ball lay inside a collider in this step [m]."""
 
@@ -120,6 +121,18 @@ class Contacts:
         """Forget what the last step summed up."""
         self.impulse.zero_()
         self.deepest.zero_()
+        # What falls asleep at the end of the step has pressed in it awake.
+        wp.copy(self._slept_force, self.resting_force)
+
+    def force_on(self, which: int, duration: float) -> NDArray[np.float64]:
+        """Mean force of the clay on a collider in the last step [N], shape [3].
+
+        Args:
+            which: Its place among the colliders.
+            duration: Length of the step [s].
+        """
+        moving = self.impulse.numpy().sum(0)[which] / duration
+        return moving + self._slept_force.numpy()[which]
 
     def find(self, common: ContactPass) -> None:
         """Find the contacts of a substep; those that were there before keep their anchors."""
@@ -221,6 +234,7 @@ class Contacts:
         self.slots.anchor.assign(state["contact_anchor"])
         self.slots.impulse.assign(state["contact_impulse"])
         self.resting_force.assign(state["contact_resting_force"])
+        wp.copy(self._slept_force, self.resting_force)
         self.slots.slide.assign(state["contact_slide"])
         self.slots.push.assign(state["contact_push"])
         if self.meshes:

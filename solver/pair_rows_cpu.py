@@ -10,6 +10,7 @@ import warp as wp
 
 from .awake import Awake
 from .bond_law import (
+    DAMPING_OF_VISCOSITY,
     FORGETTING,
     LEAST_SQUARES,
     SLOWEST_RATE,
@@ -114,11 +115,11 @@ _MEASURE = """
         condition[0] = dense > 0.f ? dense : 0.f;
         condition[1] = trace / (bonds > least_bonds ? bonds : least_bonds);
         condition[2] = stress > body.yield_stress ? 1.f - body.yield_stress / stress : 0.f;
-        const float damping = 30.f * area * clay.spacing * viscosity / reach;
+        const float damping = damping_scale * area * clay.spacing * viscosity / reach;
         const float most_damping = body.mass * clay.most_damping;
         condition[3] = damping < most_damping ? damping : most_damping;
     };
-""".replace("slowest_rate", f"{SLOWEST_RATE}f")
+""".replace("slowest_rate", f"{SLOWEST_RATE}f").replace("damping_scale", f"{DAMPING_OF_VISCOSITY}f")
 
 # `bond_law.flow_bond`, eight bonds at a time.
 _LAW_SETUP = """

@@ -64,9 +64,9 @@ def move(
         wp.atomic_add(quarantined, 0, 1)
 
 
-def zero_vectors(count: int, device: wp.Device) -> wp.array:
-    """Vectors with room behind the last: vector units read four floats at a time."""
-    return wp.zeros(count + 1, dtype=wp.vec3, device=device)[:count]
+def zeros_with_room(count: int, dtype: Any, device: wp.Device) -> wp.array:
+    """An array with room behind the last: vector units read four floats at a time."""
+    return wp.zeros(count + 1, dtype=dtype, device=device)[:count]
 
 
 class ByPart(list[Any]):
@@ -111,10 +111,10 @@ class Particles:
         """Each particle's place among the materials."""
         self.mass = wp.array(masses, dtype=float, device=device)
         """Mass of a particle of each material [kg]."""
-        self.position = zero_vectors(self.count, device)
+        self.position = zeros_with_room(self.count, wp.vec3, device)
         """[m]"""
         self.position.assign(scene.initial_positions())
-        self.velocity = zero_vectors(self.count, device)
+        self.velocity = zeros_with_room(self.count, wp.vec3, device)
         """[m/s], at the middle of a substep."""
         self.velocity.assign(scene.initial_velocities())
         self.velocity_free = wp.zeros(self.count, dtype=wp.vec3, device=device)

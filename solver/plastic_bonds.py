@@ -33,7 +33,7 @@ SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
 MOST_CLAYS = 64
 """Lengths of substep for which what pairs share is kept."""
-ITERATIONS_PER_REACH = 0.6
+ITERATIONS_PER_REACH = 0.55
 """Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
 FEWEST_ITERATIONS = 3
 MOST_ITERATIONS = 40

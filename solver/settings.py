@@ -27,8 +27,8 @@ class Settings:
     """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. Where not given,
     those that the model needs."""
     iterations: int | None = None
-    """Conjugate-gradient iterations in the second of a substep's two Newton steps, the first having
-    a third as many; where not given, as many as the clay's stiffness asks for. Relaxation iterations
+    """Conjugate-gradient iterations in the second of a substep's two Newton steps, a third as many
+    in the first; where not given, as many as the clay's stiffness asks for. Relaxation iterations
     of the model "paper", 4 where not given."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""

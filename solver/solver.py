@@ -225,8 +225,7 @@ class Solver:
         """
         for which, known in enumerate(self._contacts.colliders):
             if known is collider:
-                moving = self._contacts.impulse.numpy().sum(0)[which] / self._duration
-                return moving + self._contacts.resting_force.numpy()[which]
+                return self._contacts.force_on(which, self._duration)
         raise ValueError("That collider is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:

@@ -12,9 +12,11 @@ BLOCK = 64
 
 VECTORS = """{
     #pragma clang fp reassociate(on) contract(fast)
+    typedef float f2 __attribute__((ext_vector_type(2)));
     typedef float f4 __attribute__((ext_vector_type(4)));
     typedef float f8 __attribute__((ext_vector_type(8)));
     typedef int i8 __attribute__((ext_vector_type(8)));
+    typedef f2 f2u __attribute__((aligned(4)));
     typedef f4 f4u __attribute__((aligned(4)));
     typedef f8 f8u __attribute__((aligned(4)));
     const f8 zero = (f8)(0.f);
@@ -32,6 +34,19 @@ VECTORS = """{
     auto sum = [](f8 a) __attribute__((always_inline)) {
         const f4 b = a.lo + a.hi;
         return (b.x + b.z) + (b.y + b.w);
+    };
+    // One vector of three; arrays that are read so have room behind the last.
+    auto load3 = [](const float* p) __attribute__((always_inline)) {
+        f4 v = *(const f4u*)p;
+        v.w = 0.f;
+        return v;
+    };
+    auto store3 = [](float* p, f4 v) __attribute__((always_inline)) {
+        *(f2u*)p = v.xy;
+        p[2] = v.z;
+    };
+    auto cross = [](f4 a, f4 b) __attribute__((always_inline)) {
+        return a.yzxw * b.zxyw - a.zxyw * b.yzxw;
     };
     // Eight numbers from anywhere.
     auto pick = [](const float* p, const int* j) __attribute__((always_inline)) {

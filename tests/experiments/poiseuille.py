@@ -48,6 +48,7 @@ def poiseuille(
     stiffness: float = 50.0,
     travel: float = 1.0,
     duration: float | None = None,
+    jitter: float = 0.2,
     settings: Settings | None = None,
 ) -> Poiseuille:
     """Let a layer flow between smooth walls over a rough bed.
@@ -62,6 +63,8 @@ def poiseuille(
         stiffness: Shear modulus over the stress on the bed.
         travel: How far its surface moves, in depths.
         duration: Or for how long [s].
+        jitter: How far particles above the bed start off their lattice, in spacings; the layers of
+            a lattice slide over one another in jolts.
         settings: Of the solver.
     """
     spacing = depth / layers
@@ -80,7 +83,9 @@ def poiseuille(
         friction=ROUGH,
     )
     points = block(counts, spacing)
-    scene.add_clay(points, material)
+    noise = np.random.default_rng(0).uniform(-jitter, jitter, points.shape) * spacing
+    noise[points[:, 2] < spacing] = 0.0
+    scene.add_clay(points + noise, material)
     scene.add_plane(friction=ROUGH)
     half = 0.5 * counts[1] * spacing
     scene.add_plane((0, -half, 0), (0, 1, 0), friction=0.0)

@@ -150,8 +150,7 @@ def test_pairs_are_measured_the_same(pressed: PlasticBonds):
         lambda: body.launch(pair_rows.measure_pairs, *inputs),
         lambda: body.launch_blocks(pair_rows_cpu.measure_pairs, *inputs),
         [],
-        {"distance_next": acting(pressed, "distance_next")}
-        | conditions(pressed),
+        {"distance_next": acting(pressed, "distance_next")} | conditions(pressed),
         tolerance=1e-4,
     )
 
@@ -205,6 +204,7 @@ def test_products_are_the_same(pressed: PlasticBonds):
     direction = np.random.default_rng(2).normal(size=(body.count, 4))
     direction[:, 3] = 0.0
     solve.direction.assign(direction.astype(np.float32))
+
     def multiply(module: object, launch: Callable[..., None]) -> None:
         solve.curvature.zero_()
         press = [pressed.bodies, body.material, STEP, pressed.pairs.rows, solve.direction]
