@@ -125,6 +125,11 @@ class MeshColliders:
             [m.shape.orientation for m in self.moving], dtype=float, device=device
         )
         self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
+        # Vector units read four floats at a time.
+        self.pose_before = wp.zeros(count + 1, dtype=wp.transform, device=device)[:count]
+        self._poses_before = np.tile(np.eye(1, 7, 6, np.float32), (count, 1))
+        self._turned = np.zeros(count, bool)
+        self.turning = wp.zeros(count, dtype=int, device=device)
         self.generation = 0
         self.substep = wp.zeros(1, dtype=int, device=device)
         """Which of a step's substeps is under way; on the device, so that it can be recorded."""
@@ -159,6 +164,31 @@ class MeshColliders:
             boxes.append(np.array([swept.min(0), swept.max(0)]))
         return motions, boxes
 
+    def approach(self, which: int, box: NDArray[np.float64]) -> float:
+        """How far a collider's surface is going to move along its normals in this step [m].
+
+        A wheel that turns, or a plate drawn along itself, meets nothing on its way.
+
+        Args:
+            which: The collider; `farthest_motion` comes first.
+            box: Lowest and highest corner of where it matters [m], shape [2, 3].
+        """
+        moving, end = self.moving[which], self._targets[which]
+        first = moving.shape.moved(moving.shape.vertices)
+        last = end.moved(end.vertices)
+        way = last - first
+        faces = moving.collider.faces
+        low = np.minimum(first, last)[faces].min(1)
+        high = np.maximum(first, last)[faces].max(1)
+        faces = faces[((low < box[1]) & (high > box[0])).all(1)]
+        farthest = 0.0
+        for corners in (first[faces], last[faces]):
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            size = np.linalg.norm(normal, axis=1)
+            along = np.abs(np.einsum("fkd,fd->fk", way[faces], normal)).max(1, initial=0.0)
+            farthest = max(farthest, float((along / np.maximum(size, 1e-30)).max(initial=0.0)))
+        return farthest
+
     def begin_step(self, substeps: int, motions: list[float], teleported: list[bool]) -> None:
         """Lay out the colliders' way through the coming substeps.
 
@@ -170,6 +200,8 @@ class MeshColliders:
         targets = self._targets
         poses = np.zeros((len(self.moving), substeps + 1, 7), np.float32)
         reach = np.zeros(len(self.moving), np.float32)
+        travel = np.zeros(len(self.moving), np.float32)
+        turned = np.zeros(len(self.moving), bool)
         if any(
             t.orientation != m.shape.orientation for t, m in zip(targets, self.moving, strict=True)
         ):
@@ -184,6 +216,14 @@ class MeshColliders:
                 moving.mesh = _make_mesh(moving.collider, target, self.device)
                 self._tell_meshes()
             poses[which] = _way(before, target, substeps)
+            turned[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
+            if not teleported[which]:
+                travel[which] = motions[which] / substeps
+                if turned[which] or self._turned[which]:
+                    travel[which] = 0.0
+                    if target.vertices is not before.vertices:
+                        change = _longest(target.vertices - before.vertices)
+                        travel[which] = change / substeps
             if target.vertices is not before.vertices:
                 moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
                 moving.end = wp.array(target.vertices, dtype=wp.vec3, device=self.device)
@@ -198,12 +238,10 @@ class MeshColliders:
             reach[which] = 0.5 * _size(target.corners)
             moving.shape = target
         self.reach.assign(reach)
-        self.travel.assign(
-            np.array(
-                [0.0 if t else m / substeps for m, t in zip(motions, teleported, strict=True)],
-                np.float32,
-            )
-        )
+        self.travel.assign(travel)
+        self.turning.assign((turned | self._turned).astype(np.int32))
+        self.pose_before.assign(self._poses_before)
+        self._poses_before, self._turned = poses[:, -2].copy(), turned
         room = self.pose.shape[1]
         while room < substeps + 1:
             room *= 2
@@ -229,7 +267,11 @@ class MeshColliders:
 
     def snapshot(self) -> dict[str, NDArray]:
         """Where the colliders stood at the end of the last step."""
-        state: dict[str, NDArray] = {"collider_clearance": self.clearance.numpy().copy()}
+        state: dict[str, NDArray] = {
+            "collider_clearance": self.clearance.numpy().copy(),
+            "collider_poses_before": self._poses_before.copy(),
+            "collider_turned": self._turned.copy(),
+        }
         for which, moving in enumerate(self.moving):
             for name in ("rotation", "translation", "vertices", "orientation"):
                 value = np.array(getattr(moving.shape, name))
@@ -239,6 +281,8 @@ class MeshColliders:
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
         self.clearance.assign(state["collider_clearance"])
+        self._poses_before = state["collider_poses_before"].copy()
+        self._turned = state["collider_turned"].copy()
         for which, moving in enumerate(self.moving):
             vertices = state[f"collider_{which}_vertices"].copy()
             moving.shape = _Shape(

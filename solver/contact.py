@@ -77,7 +77,9 @@ class Contacts:
         around.plane_normal = self.planes.normal if self.planes else _nothing(wp.vec3, device)
         around.clearance = wp.zeros((0, 0), dtype=float, device=device)
         if self.meshes:
-            for name in ("mesh", "substep", "reach", "travel", "clearance"):
+            for name in (
+                "mesh", "substep", "reach", "pose_before", "turning", "travel", "clearance"
+            ):
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
         self._near = (

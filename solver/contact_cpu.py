@@ -47,6 +47,26 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
     const long long pitch = meshes ? around.clearance.strides[0] / sizeof(float) : 0;
     const float dt = common.time_step, dt_before = common.time_step_before;
     const float reach = common.radius + common.margin;
+    const int substep = meshes ? around.substep.data[0] : 0;
+    // A point in the coordinates of a pose: p, then the quaternion x, y, z, w.
+    auto seen_from = [&](const float* pose, f4 x) __attribute__((always_inline)) {
+        const f4 offset = x - load3(pose), axis = -load3(pose + 3);
+        const f4 turned = cross(axis, offset) * 2.f;
+        return offset + turned * pose[6] + cross(axis, turned);
+    };
+    auto motion_past = [&](int which, int number, f4 start, f4 end)
+        __attribute__((always_inline)) {
+        f4 motion = end - start;
+        if (around.turning.data[which]) {
+            const float* poses = (const float*)((const char*)around.pose.data
+                + which * (long long)around.pose.strides[0]);
+            const float* before = number < 0 ? (const float*)(around.pose_before.data + which)
+                : poses + 7 * number;
+            motion = seen_from(poses + 7 * (number + 1), end) - seen_from(before, start);
+        }
+        motion *= motion;
+        return __builtin_sqrtf(motion.x + motion.y + motion.z) + around.travel.data[which];
+    };
     int found = 0;
 """,
         """
@@ -60,12 +80,11 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
         const float closing = -(v[0] * n[0] + v[1] * n[1] + v[2] * n[2]) * dt;
         comes |= gap - (closing > 0.f ? closing : 0.f) < reach;
     }
-    const float speed = __builtin_sqrtf(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    const f4 place = load3(x), velocity_now = load3(v);
     for (int which = 0; which < meshes; which++) {
         float* clearance = around.clearance.data + which * pitch + i;
-        const float bound = *clearance - speed * dt_before - around.travel.data[which];
-        *clearance = bound;
-        comes |= bound - speed * dt <= reach;
+        *clearance -= motion_past(which, substep - 1, place - velocity_now * dt_before, place);
+        comes |= *clearance - motion_past(which, substep, place, place + velocity_now * dt) <= reach;
     }
     if (comes) near.index.data[begin + found++] = i;
 """,

@@ -113,11 +113,36 @@ class Surroundings:
     """Which of a step's substeps is under way; on the device, so that it can be recorded."""
     reach: wp.array[float]
     """How far off a mesh is looked for [m]."""
+    pose_before: wp.array[wp.transform]
+    """Of each mesh, a substep before the first of `pose`."""
+    turning: wp.array[int]
+    """1 for a mesh that turns in this step or did in the last."""
     travel: wp.array[float]
-    """What each mesh moves in a substep at most [m]."""
+    """What each mesh moves in a substep at most [m]; of a turning one, its change of shape only."""
     clearance: wp.array2d[float]
     """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
     up, the mesh is not asked."""
+
+
+@wp.func
+def motion_past(
+    around: Surroundings, which: int, substep: int, start: wp.vec3, end: wp.vec3
+) -> float:
+    """How far a point moves past a mesh in a substep at most [m].
+
+    Past one that turns it is measured where it is: clay on a wheel does not move past that.
+    """
+    motion = wp.length(end - start)
+    if around.turning[which] == 1:
+        before = around.pose_before[which]
+        if substep >= 0:
+            before = around.pose[which, substep]
+        after = around.pose[which, substep + 1]
+        motion = wp.length(
+            wp.transform_point(wp.transform_inverse(after), end)
+            - wp.transform_point(wp.transform_inverse(before), start)
+        )
+    return motion + around.travel[which]
 
 
 @wp.func
@@ -131,17 +156,23 @@ def comes_near(
 ) -> bool:
     """Tell whether a particle may touch something in this substep, or touched it in the last."""
     near = bool(slots.count[i] > 0)
-    speed = wp.length(velocity[i])
+    x = position[i]
+    v = velocity[i]
+    substep = int(0)
+    if around.mesh.shape[0] > 0:
+        substep = around.substep[0]
     for plane in range(around.plane_point.shape[0]):
         normal = around.plane_normal[plane]
-        gap = wp.dot(position[i] - around.plane_point[plane], normal) - common.radius
-        closing = wp.max(-wp.dot(velocity[i], normal), 0.0) * common.time_step
+        gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(v, normal), 0.0) * common.time_step
         if gap - closing < common.margin:
             near = True
     for which in range(around.mesh.shape[0]):
-        bound = around.clearance[which, i] - speed * common.time_step_before - around.travel[which]
+        before = x - v * common.time_step_before
+        bound = around.clearance[which, i] - motion_past(around, which, substep - 1, before, x)
         around.clearance[which, i] = bound
-        if bound - speed * common.time_step <= common.radius + common.margin:
+        coming = motion_past(around, which, substep, x, x + v * common.time_step)
+        if bound - coming <= common.radius + common.margin:
             near = True
     return near
 
@@ -168,7 +199,8 @@ def find_contacts(
     near = common.radius + common.margin
     plane_count = around.plane_point.shape[0]
     for which in range(around.mesh.shape[0]):
-        bound = around.clearance[which, i] - wp.length(motion)
+        coming = motion_past(around, which, around.substep[0], x, x + motion)
+        bound = around.clearance[which, i] - coming
         if bound > near:
             continue
         before = around.pose[which, around.substep[0]]
@@ -185,12 +217,12 @@ def find_contacts(
             query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
             sign = query.sign
         if not query.result:
-            around.clearance[which, i] = reach - wp.length(motion)
+            around.clearance[which, i] = reach - coming
             continue
         nearest = wp.mesh_eval_position(around.mesh[which], query.face, query.u, query.v)
         offset = local - nearest
         apart = wp.length(offset)
-        around.clearance[which, i] = sign * apart - wp.length(motion)
+        around.clearance[which, i] = sign * apart - coming
         if sign * apart < near:
             if apart > 1.0e-4 * common.radius:
                 normal = offset * (sign / apart)

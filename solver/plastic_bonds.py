@@ -28,6 +28,7 @@ from .pairs import Pairs
 from .particles import Particles
 from .recording import Recordings
 from .settings import BASE_STEP, Settings
+from .spin import Spin
 
 SKIN = 0.75
 """Extra reach of neighbour lists, in spacings."""
@@ -88,6 +89,7 @@ class PlasticBonds:
         most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
         self.gradients = ConjugateGradients(particles, most_iterations)
         self.coarse = CoarseSpace(particles)
+        self.spin = Spin(particles, self.coarse)
         self._recordings = Recordings(particles)
         self._clays: dict[float, Clay] = {}
         laws = make_pair_laws(particles.materials, spacing)
@@ -123,13 +125,15 @@ class PlasticBonds:
         self.coarse.release(np.zeros(0, int))
 
     def begin_step(self) -> None:
-        """Lay the coarse cells over the clay."""
+        """Lay the coarse cells over the clay, and see how they turn."""
         self.coarse.place_cells(self.neighbors.rebuild_count)
+        self.spin.measure()
 
     def run_substep(self, substep: ContactPass) -> None:
         """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
         self.neighbors.rebuild_if_moved()
         self._prepare_law(substep.time_step)
+        turns = self.spin.prepare(substep.time_step)
         # Generations, not addresses: a new array may lie where an old one was.
         key = (
             substep.time_step,
@@ -139,7 +143,7 @@ class PlasticBonds:
             self.particles.threads,
             self.contacts.generation,
         )
-        self._recordings.run((*key, "open"), lambda: self._open(substep))
+        self._recordings.run((*key, turns, "open"), lambda: self._open(substep, turns))
         self.coarse.invert()
         self._recordings.run((*key, "close"), lambda: self._close(substep))
 
@@ -169,11 +173,13 @@ class PlasticBonds:
             )
         self.clay = self._clays[time_step]
 
-    def _open(self, substep: ContactPass) -> None:
-        """Everything up to the coarse matrix."""
+    def _open(self, substep: ContactPass, turns: bool) -> None:
+        """Everything up to the coarse matrix; ``turns`` says whether anything spins."""
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
+        if turns:
+            self.spin.turn()
         self.pairs.gather(self.clay, self.bodies)
         self._linearize(substep)
         self.coarse.assemble(self.own_block, self.pairs)

@@ -20,6 +20,10 @@ from .settings import BASE_STEP, Settings
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""
+COLLIDER_STRIDE = 0.25
+"""A collider moves this far along its normals in a substep at most, in spacings: half a radius."""
+COLLIDER_SLIDE = 1.0
+"""A collider moves this far along itself in a substep at most, in spacings."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
 MOST_SUBSTEPS = 128
@@ -167,14 +171,14 @@ class Solver:
         self._particles.speed_limit.fill_(max(SPEED_MARGIN * kept, thrown) + fall)
 
     def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
-        """Substeps such that no collider near the clay moves more than half a particle's radius.
+        """Substeps such that no collider near the clay moves far into it in one.
 
         Returns:
             Their number, and the farthest motion of a collider that sweeps near the clay [m].
         """
         meshes = self._contacts.meshes
         assert meshes is not None
-        stride = 0.25 * self.scene.spacing
+        stride = COLLIDER_STRIDE * self.scene.spacing
         motions, boxes = meshes.farthest_motion(stride * shortest)
         # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
@@ -182,17 +186,19 @@ class Solver:
         near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
-        swept = [
-            motion
-            for motion, jumps, close in zip(motions, teleported, near, strict=True)
-            if close and not jumps
-        ]
+        swept = []
+        for which, motion in enumerate(motions):
+            if near[which] and not teleported[which]:
+                if motion > stride * substeps:
+                    approach = meshes.approach(which, np.stack([low, high]))
+                    motion = max(approach, motion * COLLIDER_STRIDE / COLLIDER_SLIDE)
+                swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
-        farthest = max(swept, default=0.0)
-        substeps = max(substeps, math.ceil(farthest / stride))
+        substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
         self._teleported += sum(teleported)
         meshes.begin_step(substeps, motions, teleported)
-        return substeps, farthest
+        carried = zip(motions, teleported, near, strict=True)
+        return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
         if self._contacts.meshes:

@@ -191,7 +191,8 @@ def turn_wheel(settings: Settings, device: str) -> Run:
     spin = np.cross((0.0, 0.0, WHEEL_RATE), points)
     scene.add_clay(points, Material(friction=1.0), velocities=spin)
     disc = trimesh.creation.cylinder(0.1, 0.02, sections=64)
-    wheel = scene.add_mesh(disc.vertices - np.array((0, 0, 0.01)), disc.faces, friction=1.0)
+    # The ball brakes the clay with more than its weight times any ordinary friction could bear.
+    wheel = scene.add_mesh(disc.vertices - np.array((0, 0, 0.01)), disc.faces, friction=100.0)
     sphere = ball(RADIUS)
     tool = scene.add_mesh(sphere.vertices, sphere.faces, friction=0.1)
     reach = float(across.max()) + 0.5 * SPACING + RADIUS
