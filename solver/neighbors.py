@@ -147,7 +147,7 @@ class Neighbors:
 
     def _fill(self) -> None:
         grid: Any = self._hash_grid.id if self._hash_grid else self._cells
-        self.particles.launch(
+        self.particles.launch_side_by_side(
             fill_rows if self._hash_grid else neighbors_cpu.fill_rows,
             grid,
             self.particles.position,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import particles_cpu
 from .awake import Awake, awake_particle
+from .processors import helper_thread, processor_count
 from .scene import Scene
 from .vector_units import BLOCK
 
@@ -129,6 +130,7 @@ class Particles:
         """Threads in a pass: at least as many as particles are awake."""
         self.part: int | None = None
         """The only part to launch passes for, while they are recorded for one thread."""
+        self._loaded: set[wp.Kernel] = set()
         self._barrier = wp.zeros(64, dtype=int, device=device)
         self._shares = [self._make_share(part) for part in range(self.parts)]
         self.resting = wp.zeros(self.count, dtype=int, device=device)
@@ -198,6 +200,26 @@ class Particles:
         part = -(-self.threads // self.parts)
         blocks = -(-part // BLOCK)
         self._launch_by_part(kernel, blocks, [ByPart(self._shares), *inputs])
+
+    def launch_side_by_side(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """Run a pass of a thread a particle, each part on a processor of its own if there are two.
+
+        What the threads write must not be read by others. Not for recordings.
+        """
+        threads = -(-self.threads // self.parts)
+
+        def run(part: int) -> None:
+            own = [self._shares[part], *_own(inputs, part)]
+            wp.launch(kernel, dim=threads, inputs=own, device=self.device)
+
+        if self.parts == 1 or processor_count() == 1 or kernel not in self._loaded:
+            # The first launch loads the kernel's module: one thread must do that.
+            self._loaded.add(kernel)
+            self.launch(kernel, *inputs)
+            return
+        other = helper_thread().submit(run, 1)
+        run(0)
+        other.result()
 
     def launch_once(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass of one thread; each part does it for itself."""

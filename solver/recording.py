@@ -7,15 +7,13 @@ apart and added in the same order whoever does the work, so the result is the sa
 """
 
 import math
-import os
 import time
 from collections.abc import Callable, Hashable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 
 import warp as wp
 
 from .particles import Particles
+from .processors import helper_thread, processor_count
 
 MOST_RECORDINGS = 64
 """Recordings kept; the oldest goes first."""
@@ -23,19 +21,6 @@ TRIAL_RUNS = 6
 """How often a recording is tried by one thread and by two, to see which is faster."""
 TRIAL_INTERVAL = 400
 """Replays after which both are tried again."""
-
-
-@cache
-def _helper() -> ThreadPoolExecutor:
-    """The thread that works beside the caller's."""
-    return ThreadPoolExecutor(1, thread_name_prefix="clay")
-
-
-def _processors() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 class _Recording:
@@ -66,7 +51,7 @@ class _Recording:
         if way == 0:
             wp.capture_launch(self._alone)
         else:
-            other = _helper().submit(wp.capture_launch, self._side_by_side[1])
+            other = helper_thread().submit(wp.capture_launch, self._side_by_side[1])
             wp.capture_launch(self._side_by_side[0])
             other.result()
         if trial < 2 * TRIAL_RUNS:
@@ -85,7 +70,7 @@ class Recordings:
 
     def __init__(self, particles: Particles) -> None:
         self.particles = particles
-        self._side_by_side = particles.parts == 2 and _processors() > 1
+        self._side_by_side = particles.parts == 2 and processor_count() > 1
         self._recordings: dict[Hashable, _Recording] = {}
         self._seen: set[Hashable] = set()
 
