@@ -6,6 +6,7 @@ from typing import Protocol
 from numpy.typing import NDArray
 
 from .contact_law import ContactPass
+from .regions import Regions
 
 
 class ClayModel(Protocol):
@@ -25,6 +26,9 @@ class ClayModel(Protocol):
             resting: Their indices.
             time_step: Length of the last substep [s].
         """
+
+    def unheld(self, regions: Regions) -> NDArray:
+        """Which regions sleep and are held by nothing any more, shape [R]."""
 
     def wake(self, woken: NDArray) -> None:
         """Take up particles that are about to wake; they still count as resting."""

@@ -155,7 +155,8 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     float* change = changes + 3 * (long long)i;
     float* residual = residuals + 3 * (long long)i;
     store3(change, load3(change) + direction * length);
-    const f4 r = load3(residual) - load3((const float*)solve.product.data + 3 * (long long)i) * length;
+    const f4 product = load3((const float*)solve.product.data + 3 * (long long)i);
+    const f4 r = load3(residual) - product * length;
     store3(residual, r);
     precondition(i, r);
 """,

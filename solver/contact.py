@@ -78,7 +78,13 @@ class Contacts:
         around.clearance = wp.zeros((0, 0), dtype=float, device=device)
         if self.meshes:
             for name in (
-                "mesh", "substep", "reach", "pose_before", "turning", "travel", "clearance"
+                "mesh",
+                "substep",
+                "reach",
+                "pose_before",
+                "turning",
+                "travel",
+                "clearance",
             ):
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around

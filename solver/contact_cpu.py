@@ -48,7 +48,7 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
     const float dt = common.time_step, dt_before = common.time_step_before;
     const float reach = common.radius + common.margin;
     const int substep = meshes ? around.substep.data[0] : 0;
-    // A point in the coordinates of a pose: p, then the quaternion x, y, z, w.
+    // A point in the coordinates of a pose: place, then quaternion.
     auto seen_from = [&](const float* pose, f4 x) __attribute__((always_inline)) {
         const f4 offset = x - load3(pose), axis = -load3(pose + 3);
         const f4 turned = cross(axis, offset) * 2.f;
@@ -84,7 +84,8 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
     for (int which = 0; which < meshes; which++) {
         float* clearance = around.clearance.data + which * pitch + i;
         *clearance -= motion_past(which, substep - 1, place - velocity_now * dt_before, place);
-        comes |= *clearance - motion_past(which, substep, place, place + velocity_now * dt) <= reach;
+        const float coming = motion_past(which, substep, place, place + velocity_now * dt);
+        comes |= *clearance - coming <= reach;
     }
     if (comes) near.index.data[begin + found++] = i;
 """,

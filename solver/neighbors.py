@@ -122,7 +122,7 @@ class Neighbors:
         self.rebuild_count = 0
         self._hash_grid: wp.HashGrid | None = None
         if device.is_cpu:
-            self._cells = neighbors_cpu.make_cell_grid(count, self.reach, device)
+            self._cells = neighbors_cpu.make_cell_grid(particles, self.reach)
         else:
             self._hash_grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
 
@@ -132,14 +132,14 @@ class Neighbors:
         if self._hash_grid:
             self._hash_grid.build(position, self.reach)
         else:
-            neighbors_cpu.sort_into_cells(self._cells, position, self.reach)
+            neighbors_cpu.sort_into_cells(self._cells, self.particles, self.reach)
         self._fill()
         needed = self.needed.numpy()
         short = needed > self.pairs.rows.room.numpy()
         if short.any():
             self.overflow += int(np.maximum(needed[short] - MOST_SLOTS, 0).sum())
             if (needed[short] < MOST_SLOTS).any() or self.rebuild_count == 0:
-                self.pairs.lay_out(needed)
+                self.pairs.make_room(np.flatnonzero(short), needed)
                 self._fill()
         wp.copy(self.listed_position, position)
         self.largest.zero_()

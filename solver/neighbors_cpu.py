@@ -12,6 +12,7 @@ import warp as wp
 from .awake import Awake, awake_particle
 from .grid_boxes import box_of
 from .pair_rows import PairRows, keep_bonds
+from .particles import Particles
 from .vector_units import OPTIONS, VECTORS, over_block
 
 wp.set_module_options(OPTIONS)
@@ -38,14 +39,22 @@ class CellGrid:
     y: wp.array[float]
     z: wp.array[float]
     """Their positions in that order [m]."""
-    mark: wp.array[int]
-    """Scratch, one for each particle."""
+    mark: wp.array2d[int]
+    """Scratch for each part's thread, one for each particle."""
+    box_low: wp.vec3
+    """What lies outside of this box is no neighbour of anything awake [m]."""
+    box_high: wp.vec3
 
 
 @wp.kernel(enable_backward=False)
 def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     """Count the particles in each cell; what lies outside the grid goes to its outermost cells."""
     i = wp.tid()
+    below = wp.max(grid.box_low - position[i])
+    above = wp.max(position[i] - grid.box_high)
+    if wp.max(below, above) > 0.0:
+        grid.cell[i] = -1
+        return
     place = box_of(position[i], grid.low, grid.inverse_edge, grid.counts)
     cell = (place[2] * grid.counts[1] + place[1]) * grid.counts[0] + place[0]
     grid.cell[i] = cell
@@ -65,12 +74,13 @@ def sum_starts(cells: int, grid: CellGrid) -> None:
 def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     """Put particles in order; afterwards each start has moved to its cell's end."""
     i = wp.tid()
+    if grid.cell[i] < 0:
+        return
     slot = wp.atomic_add(grid.start, grid.cell[i], 1)
     grid.order[slot] = i
     grid.x[slot] = position[i][0]
     grid.y[slot] = position[i][1]
     grid.z[slot] = position[i][2]
-    grid.mark[i] = -1
 
 
 # Cells of a row along x lie one behind the other: nine runs hold all neighbours.
@@ -81,7 +91,7 @@ def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     const int room = pairs.room.data[i];
     int* other = pairs.other.data + row;
     float* rests = pairs.rest_length.data + row;
-    int* mark = grid.mark.data;
+    int* mark = grid.mark.data + part * (long long)grid.mark.shape[1];
     for (int e = 0; e < bonded; e++) mark[other[e]] = i;
     mark[i] = i;
     const float* p = (const float*)position.data + 3 * (long long)i;
@@ -126,6 +136,7 @@ def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
 )
 def fill_row(  # type: ignore[empty-body]
     i: int,
+    part: int,
     bonded: int,
     reach: float,
     position: wp.array[wp.vec3],
@@ -148,7 +159,7 @@ def fill_rows(
     if i < 0:
         return
     bonded = keep_bonds(pairs, i)
-    needed[i] = fill_row(i, bonded, reach, position, grid, pairs)
+    needed[i] = fill_row(i, awake.part, bonded, reach, position, grid, pairs)
 
 
 @wp.func_native(
@@ -184,33 +195,38 @@ def measure_displacement(
     measure_block(wp.tid(), awake, position, listed_position, largest)
 
 
-def make_cell_grid(particle_count: int, reach: float, device: wp.Device) -> CellGrid:
+def make_cell_grid(particles: Particles, reach: float) -> CellGrid:
     """Room for all particles, in cells of the edge ``reach`` [m]."""
     grid = CellGrid()
-    for name in ("cell", "order", "mark"):
+    particle_count, device = particles.count, particles.device
+    for name in ("cell", "order"):
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=int, device=device))
     for name in ("x", "y", "z"):
         # Vector units read up to seven behind the last.
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=float, device=device))
+    grid.mark = wp.zeros((particles.parts, particle_count + 8), dtype=int, device=device)
     grid.start = wp.zeros(1, dtype=int, device=device)
     grid.inverse_edge = wp.vec3(1.0 / reach)
     return grid
 
 
-def sort_into_cells(grid: CellGrid, position: wp.array, reach: float) -> None:
-    """Sort all particles by cell.
+def sort_into_cells(grid: CellGrid, particles: Particles, reach: float) -> None:
+    """Sort the particles that may be neighbours of any that are awake by cell.
 
     Args:
         grid: Of `make_cell_grid`.
-        position: Where the particles are [m].
-        reach: The edge of a cell [m].
+        particles: The particles.
+        reach: The edge of a cell, and farthest that neighbours may be [m].
     """
+    position = particles.position
     points = position.numpy()
-    low, high = points.min(0), points.max(0)
+    awake = points[particles.awake_index()]
+    low, high = awake.min(0) - reach, awake.max(0) + reach
+    grid.box_low, grid.box_high = wp.vec3(*low), wp.vec3(*high)
     counts = np.floor((high - low) / reach) + 1.0
     if np.prod(counts) > _CELL_LIMIT:
         # The bulk of the clay decides where cells lie; strays share the outermost ones.
-        low, high = np.quantile(points, [0.01, 0.99], axis=0)
+        low, high = np.quantile(awake, [0.01, 0.99], axis=0)
         counts = np.floor((high - low) / reach) + 1.0
         counts *= min(1.0, float(np.cbrt(_CELL_LIMIT / np.prod(counts))))
     counts = np.clip(counts, 1.0, _CELL_LIMIT).astype(int)
@@ -219,6 +235,7 @@ def sort_into_cells(grid: CellGrid, position: wp.array, reach: float) -> None:
         grid.start = wp.zeros(cells + 1, dtype=int, device=position.device)
     else:
         grid.start.zero_()
+    grid.mark.fill_(-1)
     grid.low = wp.vec3(*low)
     grid.counts = wp.vec3i(*counts.tolist())
 

@@ -30,6 +30,25 @@ def copy_rows(before: PairRows, after: PairRows) -> None:
         after.rest_length[after.first[i] + e] = before.rest_length[before.first[i] + e]
 
 
+@wp.kernel(enable_backward=False)
+def move_rows(
+    index: wp.array[int], first: wp.array[int], room: wp.array[int], pairs: PairRows
+) -> None:
+    """Move some rows to where there is more room."""
+    i = index[wp.tid()]
+    start = first[wp.tid()]
+    for e in range(pairs.listed[i]):
+        pairs.other[start + e] = pairs.other[pairs.first[i] + e]
+        pairs.rest_length[start + e] = pairs.rest_length[pairs.first[i] + e]
+    pairs.first[i] = start
+    pairs.room[i] = room[wp.tid()]
+
+
+def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Slots to give to rows: a little more than needed, so that they need not move often."""
+    return (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+
+
 class Pairs:
     """The rows of neighbours and the passes over those that act.
 
@@ -55,6 +74,30 @@ class Pairs:
         self._passes = pair_rows_cpu if device.is_cpu else pair_rows
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
+    def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
+        """Give some rows the room they need, behind all others while there is space.
+
+        Args:
+            short: Which rows are too short, shape [S].
+            needed: Slots for each particle, shape [N].
+        """
+        rows, device = self.rows, self.particles.device
+        room = _room_for(needed[short])
+        total = self._used + int(room.sum())
+        if total > self._slots:
+            self.lay_out(needed)
+            return
+        first = self._used + np.cumsum(room) - room
+        self._used = total
+        index = wp.array(short, dtype=int, device=device)
+        inputs = [
+            index,
+            wp.array(first, dtype=int, device=device),
+            wp.array(room, dtype=int, device=device),
+            rows,
+        ]
+        wp.launch(move_rows, dim=len(short), inputs=inputs, device=device)
+
     def lay_out(self, needed: NDArray[np.int32]) -> None:
         """Give every row as much room as it needs, and keep what is in the rows.
 
@@ -62,13 +105,12 @@ class Pairs:
             needed: Slots for each particle, shape [N].
         """
         rows, device = self.rows, self.particles.device
-        # A little more, so that rows need not move often.
-        room = (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+        room = _room_for(needed)
         first = np.cumsum(room) - room
         before = PairRows()
         before.first, before.other = wp.clone(rows.first), wp.clone(rows.other)
         before.rest_length = wp.clone(rows.rest_length)
-        total = int(room.sum())
+        total = self._used = int(room.sum())
         if total > self._slots:
             # Recordings hold on to arrays: new ones should not be needed often.
             self._slots = total + total // 3

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The clay of the paper, as printed."""
 
+import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from .paper_kernel import KERNEL_RADIUS
 from .paper_neighbors import NeighborRows
 from .paper_viscosity import ViscosityConstraints
 from .particles import Particles
+from .regions import Regions
 from .settings import Settings
 
 SKIN = 0.3
@@ -102,6 +104,10 @@ class PaperModel:
 
     def rest(self, resting: NDArray, time_step: float) -> None:
         """Nothing falls asleep."""
+
+    def unheld(self, regions: Regions) -> NDArray:
+        """Nothing ever sleeps."""
+        return np.zeros(len(regions.asleep), bool)
 
     def wake(self, woken: NDArray) -> None:
         """Nothing wakes."""

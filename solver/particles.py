@@ -154,9 +154,16 @@ class Particles:
         resting = np.ones(self.count, np.int32)
         resting[index] = 0
         self.resting.assign(resting)
-        # Few different numbers of threads: each is recorded once.
-        quarter = max(BLOCK, 1 << max(len(index).bit_length() - 3, 0))
-        self.threads = min(self.count, -(-len(index) // quarter) * quarter)
+        self._awake_index = index
+        # Few different numbers of threads: each is recorded once, and idle blocks cost little.
+        threads = SMALL
+        while threads < len(index):
+            threads *= 4
+        self.threads = min(self.count, threads)
+
+    def awake_index(self) -> NDArray[np.int64]:
+        """Which particles are awake, ascending."""
+        return self._awake_index
 
     def launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass over the particles that are awake; ``Awake`` is its first argument."""

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .balance import Balance
 from .bond_law import (
     BOND_REACH,
     FORM_REACH,
@@ -27,6 +28,7 @@ from .pair_rows import COMPRESSION
 from .pairs import Pairs
 from .particles import Particles
 from .recording import Recordings
+from .regions import Regions
 from .settings import BASE_STEP, Settings
 from .spin import Spin
 
@@ -89,11 +91,13 @@ class PlasticBonds:
         most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
         self.gradients = ConjugateGradients(particles, most_iterations)
         self.coarse = CoarseSpace(particles)
+        self._balance = Balance(particles)
         self.spin = Spin(particles, self.coarse)
         self._recordings = Recordings(particles)
         self._clays: dict[float, Clay] = {}
         laws = make_pair_laws(particles.materials, spacing)
         self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
+        self._prepare_law(BASE_STEP / settings.substeps)
         if count:
             self.neighbors.rebuild()
             if settings.elastoplasticity:
@@ -112,6 +116,12 @@ class PlasticBonds:
         ]
         wp.launch(stand_still, dim=len(resting), inputs=inputs, device=self.device)
         self.coarse.release(resting)
+
+    def unheld(self, regions: Regions) -> NDArray[np.bool_]:
+        """Which regions sleep and are held by nothing any more, shape [R]."""
+        return self._balance.unheld(
+            regions, self.clay, self.pair_laws, self.bodies, self.pairs.rows, self.contacts
+        )
 
     def wake(self, woken: NDArray[np.int64]) -> None:
         """Take up particles that are about to wake; they still count as resting."""

@@ -14,8 +14,8 @@ from .awake import Awake, awake_particle
 from .grid_boxes import box_of
 from .particles import ByPart, Particles
 
-EDGE = 8.0
-"""Edge of a region, in spacings."""
+EDGE = 4.0
+"""Edge of a region, in spacings: half of that costs more to keep account of than it saves."""
 SLEEP_SPEED = 0.002
 """What is slower than this has come to rest, in spacings a second."""
 SLEEP_DELAY = 0.25
@@ -62,6 +62,18 @@ def measure_regions(
         wp.atomic_max(measures, own, axis, x[axis])
         wp.atomic_max(measures, own, 3 + axis, -x[axis])
     wp.atomic_max(measures, own, 6, wp.length_sq(velocity[i]))
+
+
+@wp.kernel(enable_backward=False)
+def measure_boxes(
+    position: wp.array[wp.vec3], region: wp.array[int], measures: wp.array3d[float]
+) -> None:
+    """Find the box of all particles in each region."""
+    i = wp.tid()
+    x = position[i]
+    for axis in range(3):
+        wp.atomic_max(measures, 0, region[i], axis, x[axis])
+        wp.atomic_max(measures, 0, region[i], 3 + axis, -x[axis])
 
 
 class Regions:
@@ -114,7 +126,7 @@ class Regions:
         self.boxes = np.zeros((count, 2, 3))
         self.speed = np.zeros(count)
         self._way = 0.0
-        self._measure_sleeping(region)
+        self._measure_sleeping()
         self.measure(0.0)
         return np.flatnonzero(~self._awake & ~self.asleep[region])
 
@@ -122,14 +134,17 @@ class Regions:
         shape = (self.particles.parts, regions, 7)
         return wp.zeros(shape, dtype=float, device=self.particles.device)
 
-    def _measure_sleeping(self, region: NDArray[np.int32]) -> None:
+    def _measure_sleeping(self) -> None:
         """Measure the boxes of regions that sleep: nothing in them moves."""
         self.boxes[:, 0], self.boxes[:, 1] = np.inf, -np.inf
         if self.asleep.any():
-            asleep = ~self._awake
-            points, where = self.particles.position.numpy()[asleep], region[asleep]
-            np.minimum.at(self.boxes[:, 0], where, points)
-            np.maximum.at(self.boxes[:, 1], where, points)
+            self.measures.fill_(-np.inf)
+            inputs = [self.particles.position, self.region, self.measures]
+            device = self.particles.device
+            wp.launch(measure_boxes, dim=self.particles.count, inputs=inputs, device=device)
+            measures = self.measures.numpy()[0][self.asleep]
+            self.boxes[self.asleep, 1] = measures[:, :3]
+            self.boxes[self.asleep, 0] = -measures[:, 3:6]
 
     @property
     def fastest(self) -> float:
@@ -179,14 +194,17 @@ class Regions:
         calm = ~self._spread(~at_rest & ~self.asleep)
         return ~self.asleep & calm & (self.quiet > SLEEP_DELAY)
 
-    def disturbed(self, boxes: list[NDArray[np.float64]]) -> NDArray[np.bool_]:
+    def disturbed(
+        self, boxes: list[NDArray[np.float64]], unheld: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
         """Find the regions that must wake before the next step.
 
         Args:
             boxes: Swept by colliders that move, shape [2, 3] each [m].
+            unheld: Regions that nothing holds any more, shape [R].
         """
         moved = self.travel > WAKE_TRAVEL * self.particles.spacing
-        wake = self._spread(moved)
+        wake = self._spread(moved) | unheld
         self.travel[moved] = 0.0
         margin = 1.5 * self.particles.spacing
         for low, high in boxes:

@@ -132,7 +132,7 @@ class Solver:
         """Wake the clay that colliders moving through ``boxes`` [m] or other clay disturb."""
         regions = self._regions
         woken = regions.lay_out() if regions.outgrown else np.zeros(0, np.int64)
-        wake = regions.disturbed(boxes)
+        wake = regions.disturbed(boxes, self._model.unheld(regions))
         if wake.any():
             regions.asleep = regions.asleep & ~wake
             woken = np.union1d(woken, regions.members(wake))

@@ -423,8 +423,8 @@ def test_rows_are_filled_the_same(pressed: PlasticBonds):
         )
 
     def from_cells() -> None:
-        cells = neighbors_cpu.make_cell_grid(body.count, reach, body.device)
-        neighbors_cpu.sort_into_cells(cells, body.position, reach)
+        cells = neighbors_cpu.make_cell_grid(body, reach)
+        neighbors_cpu.sort_into_cells(cells, body, reach)
         body.launch(neighbors_cpu.fill_rows, cells, body.position, reach, rows, needed)
 
     compare(
