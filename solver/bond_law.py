@@ -32,6 +32,14 @@ BOND_REACH = 1.5
 """Pairs closer than this at the start are bonded, in spacings."""
 FORM_REACH = 1.25
 """Free pairs closer than this become bonded, in spacings."""
+PRESS_REACH = 1.4
+"""Free pairs closer than this press on each other, in spacings, until they are as far apart as
+bonds that break: pairs that came and went at one distance would jitter."""
+SURFACE_FLOOR = 0.4
+"""Lopsidedness that is taken for chance, over that of a flat surface."""
+SURFACE_SHARE = 0.8
+"""Part of the neighbours missing at a surface that is made up for. With all of them thin necks of
+clay swell and part early; with none, kneaded clay loses a tenth of its volume."""
 BREAK_LENGTH = 1.9
 """A bond longer than this is gone, in spacings."""
 FADE_LENGTH = 1.5
@@ -100,7 +108,12 @@ class Clay:
     kernel_radius: float
     inverse_rest_sum: float
     """1 over the sum of (1 - r/h)³ at rest."""
+    surface_gain: float
+    """What lopsidedness beyond the floor adds to a particle's density."""
+    surface_floor: float
+    """Lopsidedness of particles inside, which is by chance."""
     form_reach: float
+    press_reach: float
     break_length: float
     inverse_fade: float
     """1 over the length on which bonds fade [1/m]."""
@@ -224,12 +237,39 @@ def kernel_slope(clay: Clay, distance: float) -> float:
     return 3.0 * t * t * clay.inverse_rest_sum / clay.kernel_radius
 
 
-def rest_kernel_sum() -> float:
-    """Sum of (1 - r/h)³ over a cubic lattice of unit spacing, the particle itself included."""
+@wp.func
+def surface_density(clay: Clay, lopsided: wp.vec3) -> float:
+    """Density that a particle at a surface lacks for want of neighbours.
+
+    Clay would be pressed together there until the others made up for them.
+
+    Args:
+        clay: What all pairs share.
+        lopsided: Sum of the neighbours' shares of the density times their directions.
+    """
+    return wp.max(clay.surface_gain * (wp.length(lopsided) - clay.surface_floor), 0.0)
+
+
+def _lattice() -> tuple[np.ndarray, np.ndarray]:
+    """A particle's neighbours on a cubic lattice of unit spacing, and (1 - r/h)³ of each."""
     axis = np.arange(-2, 3)
     lattice = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
     distance = np.linalg.norm(lattice, axis=1)
-    return float((np.maximum(1.0 - distance / KERNEL_RADIUS, 0.0) ** 3).sum())
+    return lattice, np.maximum(1.0 - distance / KERNEL_RADIUS, 0.0) ** 3
+
+
+def rest_kernel_sum() -> float:
+    """Sum of (1 - r/h)³ over a cubic lattice of unit spacing, the particle itself included."""
+    return float(_lattice()[1].sum())
+
+
+def surface_of_lattice() -> tuple[float, float]:
+    """Of a lattice's flat surface: the density missing there, and its lopsidedness."""
+    lattice, value = _lattice()
+    below = lattice[:, 2] <= 0
+    height = lattice[:, 2] / np.maximum(np.linalg.norm(lattice, axis=1), 1.0)
+    lopsided = -(value * height)[below].sum()
+    return float(value[~below].sum() / value.sum()), float(lopsided / value.sum())
 
 
 def make_bodies(materials: list[Material], settings: Settings, spacing: float) -> list[Body]:
@@ -277,7 +317,11 @@ def make_clay(
     clay.time_step = time_step
     clay.kernel_radius = KERNEL_RADIUS * spacing
     clay.inverse_rest_sum = 1.0 / rest_kernel_sum()
+    missing, lopsided = surface_of_lattice()
+    clay.surface_floor = SURFACE_FLOOR * lopsided
+    clay.surface_gain = SURFACE_SHARE * missing / (lopsided - clay.surface_floor)
     clay.form_reach = FORM_REACH * spacing
+    clay.press_reach = PRESS_REACH * spacing
     clay.break_length = BREAK_LENGTH * spacing
     clay.inverse_fade = 1.0 / ((BREAK_LENGTH - FADE_LENGTH) * spacing)
     clay.shortest_length = SHORTEST_LENGTH * spacing

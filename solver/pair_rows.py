@@ -23,6 +23,7 @@ from .bond_law import (
     kernel_slope,
     kernel_value,
     pair_damping,
+    surface_density,
 )
 
 COMPRESSION = wp.constant(0)
@@ -117,8 +118,6 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
     while slot < end:
         rest = pairs.rest_length[slot]
         if rest <= 0.0:
-            # A free pair presses until it is far apart: one that came and went at the reach of
-            # forming bonds would jitter.
             apart = wp.length(position[pairs.other[slot]] - x)
             if apart < clay.form_reach and clay.bonds == 1:
                 rest -= 1.0
@@ -134,7 +133,7 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
             slot += 1
     for candidate in range(end, first + pairs.listed[i]):
         j = pairs.other[candidate]
-        if pairs.resting[j] == 0 and wp.length(position[j] - x) < clay.form_reach:
+        if pairs.resting[j] == 0 and wp.length(position[j] - x) < clay.press_reach:
             pairs.rest_length[candidate] = -1.0
             swap_slots(pairs, candidate, end)
             end += 1
@@ -174,6 +173,7 @@ def measure_row(
     """Find the lengths of a particle's pairs at the end of the substep, its volume and stress."""
     v = velocity[i]
     density = clay.inverse_rest_sum
+    lopsided = wp.vec3()
     lengths = float(0.0)
     squares = float(0.0)
     parting = float(0.0)
@@ -185,7 +185,9 @@ def measure_row(
         before = pairs.distance[slot]
         apart = wp.length(n * before + closing * clay.time_step)
         pairs.distance_next[slot] = apart
-        density += kernel_value(clay, apart)
+        value = kernel_value(clay, apart)
+        density += value
+        lopsided += n * value
         speed = wp.dot(n, closing)
         squares += apart * apart
         parting += apart * speed
@@ -197,7 +199,7 @@ def measure_row(
             stretch += wp.outer(n, n) * (hold * (apart - rest) * apart)
     body = bodies[material[i]]
     pairs.condition[i] = wp.vec4(
-        wp.max(density - 1.0, 0.0),
+        wp.max(density + surface_density(clay, lopsided) - 1.0, 0.0),
         wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing),
         flow_share(clay, body, stretch),
         pair_damping(clay, body, squares, parting, rates),

@@ -58,6 +58,7 @@ _MEASURE_SETUP = (
 )
 _MEASURE = """
     const float vx = v[3 * i], vy = v[3 * i + 1], vz = v[3 * i + 2];
+    f8 towards_x = zero, towards_y = zero, towards_z = zero;
     f8 density = zero, lengths = zero, squares = zero, parting = zero, rates = zero;
     f8 xx = zero, xy = zero, xz = zero, yy = zero, yz = zero, zz = zero;
     auto measure = [&](int e, i8 live, f8 x, f8 y, f8 z, f8 before) __attribute__((always_inline)) {
@@ -76,7 +77,11 @@ _MEASURE = """
         const i8 bonded = live & (rest > 0.f);
         f8 t = most(1.f - apart * inverse_radius, zero);
         t = live ? t : zero;
-        density += t * t * t;
+        const f8 value = t * t * t;
+        density += value;
+        towards_x += x * value;
+        towards_y += y * value;
+        towards_z += z * value;
         squares += live ? square : zero;
         parting += apart * speed;
         rates += speed * speed;
@@ -92,7 +97,12 @@ _MEASURE = """
         store(next + e, apart);
     };
     auto keep_measures = [&]() __attribute__((always_inline)) {
-        const float dense = (1.f + sum(density)) * clay.inverse_rest_sum - 1.f;
+        const float tx = sum(towards_x), ty = sum(towards_y), tz = sum(towards_z);
+        // `bond_law.surface_density`
+        float surface = __builtin_sqrtf(tx * tx + ty * ty + tz * tz) * clay.inverse_rest_sum;
+        surface = clay.surface_gain * (surface - clay.surface_floor);
+        surface = surface > 0.f ? surface : 0.f;
+        const float dense = (1.f + sum(density)) * clay.inverse_rest_sum - 1.f + surface;
         const float bonds = sum(lengths), least_bonds = 1e-12f * area;
         const float sxx = sum(xx), syy = sum(yy), szz = sum(zz);
         const float sxy = sum(xy), sxz = sum(xz), syz = sum(yz), trace = sxx + syy + szz;
@@ -158,7 +168,7 @@ _LAY_SETUP = (
     _MEASURE_SETUP
     + """
     const float* __restrict__ x = (const float*)position.data;
-    const float floor = 1e-6f * clay.spacing, reach = clay.form_reach * clay.form_reach;
+    const float floor = 1e-6f * clay.spacing, reach = clay.press_reach * clay.press_reach;
     const i8 forms = (i8)(clay.bonds ? -1 : 0);
 """
 )

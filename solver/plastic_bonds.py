@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .balance import Balance
 from .bond_law import (
     BOND_REACH,
-    FORM_REACH,
+    PRESS_REACH,
     Body,
     Clay,
     PairLaw,
@@ -32,13 +32,13 @@ from .regions import Regions
 from .settings import BASE_STEP, Settings
 from .spin import Spin
 
-SKIN = 0.75
+SKIN = 0.6
 """Extra reach of neighbour lists, in spacings."""
 MOST_CLAYS = 64
 """Lengths of substep for which what pairs share is kept."""
 ITERATIONS_PER_REACH = 0.55
 """Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
-FEWEST_ITERATIONS = 3
+FEWEST_ITERATIONS = 6
 MOST_ITERATIONS = 40
 
 
@@ -85,8 +85,8 @@ class PlasticBonds:
             make_bodies(particles.materials, settings, spacing), dtype=Body, device=device
         )
         self.pairs = Pairs(particles)
-        # Bonds stay listed however long they are; only those still to form must be found.
-        self.neighbors = Neighbors(particles, self.pairs, FORM_REACH * spacing, SKIN * spacing)
+        # Bonds stay listed however long they are; only pairs that come close must be found.
+        self.neighbors = Neighbors(particles, self.pairs, PRESS_REACH * spacing, SKIN * spacing)
         # One more than needed: a substep may be longer than it should by rounding.
         most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
         self.gradients = ConjugateGradients(particles, most_iterations)

@@ -24,6 +24,8 @@ ROUGH = 1e4
 class Couette:
     """Stress and strain of the middle of the slab, frame by frame."""
 
+    material: Material
+    """What the slab is made of."""
     strain: np.ndarray
     """Shear strain."""
     rate: np.ndarray
@@ -137,4 +139,4 @@ def couette(
         if probe:
             probe(solver, near, results[-1])
     strains, rates, stresses = np.array(results).T
-    return Couette(strain=strains, rate=rates, stress=stresses)
+    return Couette(material=material, strain=strains, rate=rates, stress=stresses)

@@ -12,12 +12,14 @@ from collections.abc import Callable
 from tactile_clay.solver import Material, Settings
 from tactile_clay.tests.experiments.bounce import Bounce, bounce
 from tactile_clay.tests.experiments.compression import compress_cylinder
+from tactile_clay.tests.experiments.couette import Couette, couette
 from tactile_clay.tests.experiments.coulomb import creep, drag, stop
 from tactile_clay.tests.experiments.cut import cut
 from tactile_clay.tests.experiments.elastic import STIFFNESS_OVER_SHEAR, Elastic, compress, shear
 from tactile_clay.tests.experiments.falling import drop, free_fall
 from tactile_clay.tests.experiments.merge import merge
 from tactile_clay.tests.experiments.motion import collision, spin
+from tactile_clay.tests.experiments.poiseuille import Poiseuille, poiseuille
 from tactile_clay.tests.experiments.press import Press, press
 from tactile_clay.tests.experiments.pull import pull
 from tactile_clay.tests.experiments.resting import rest
@@ -31,13 +33,14 @@ from .experiment import SPACING, Experiment
 from .figure import Figure
 
 
-def _press(material: Material, depth: float = 0.012) -> Callable[[Settings, float], Press]:
-    """Press a ball into a block of 60 x 60 x 50 mm."""
+def _press(material: Material, radius: float = 0.02) -> Callable[[Settings, float], Press]:
+    """Press a ball as deep as its radius into a block five radii wide and four high."""
 
     def run(settings: Settings, spacing: float) -> Press:
-        across, high = round(0.060 / spacing), round(0.050 / spacing)
+        across, high = round(5.0 * radius / spacing), round(4.2 * radius / spacing)
         return press(
-            depth,
+            radius,
+            radius=radius,
             spacing=spacing,
             counts=(across, across, high),
             material=material,
@@ -59,6 +62,25 @@ def _shear(modulus: float) -> Callable[[Settings, float], Elastic]:
     )
 
 
+def _couette(rate: float, viscosity: float) -> Callable[[Settings, float], Couette]:
+    """Shear clay between rough plates to a strain of two."""
+    material = Material(viscosity=viscosity)
+    return lambda settings, spacing: couette(rate, 2.0, material=material, settings=settings)
+
+
+def _flow_ratio(result: Couette) -> float:
+    rate, stress = result.flow(1.0)
+    return stress / (result.material.yield_stress + result.material.viscosity * rate)
+
+
+def _film(ratio: float, index: float) -> Callable[[Settings, float], Poiseuille]:
+    """Let a layer of ten particles flow down an incline."""
+    viscosity = 200.0 if index == 1.0 else 400.0
+    return lambda settings, spacing: poiseuille(
+        ratio, viscosity=viscosity, flow_index=index, settings=settings
+    )
+
+
 def _uniaxial(result: Elastic) -> tuple[float, float]:
     """Force of a block compressed between plates: of a modulus of 2.5 to 3 G [N]."""
     unit = result.expected / (0.5 * sum(STIFFNESS_OVER_SHEAR))
@@ -69,9 +91,17 @@ def _contact_time(result: Bounce) -> float:
     return result.contact_time / result.expected_time
 
 
-_SLIP_LINE = "slip-line theory of a round punch: 5.7 to 6.05 τ_y A (Hill 1950; Levin 1955)"
+def _moving(result: Press) -> tuple[float, float]:
+    low, high = result.theory
+    return low + result.viscous, high + result.viscous
+
+
+_SLIP_LINE = (
+    "slip-line theory of a round punch: 5.7 to 6.05 τ_y A (Hill 1950; Levin 1955); while it moves "
+    "8 η a v more"
+)
 _PRESS = (
-    Figure("force moving", "force_moving", lambda r: r.theory, 0.15, "N", relative=True),
+    Figure("force moving", "force_moving", _moving, 0.15, "N", relative=True),
     Figure("force held", "force_held", lambda r: r.theory, 0.15, "N", relative=True),
     Figure("spring-back", "spring_back", 0.0, 0.10),
     Figure("compression left", "compression_left", 0.0, 0.01),
@@ -175,15 +205,39 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     ),
     Experiment(
         "press, 1 kPa",
-        _press(Material(yield_stress=1e3, viscosity=20.0)),
+        _press(Material(yield_stress=1e3, viscosity=20.0, shear_modulus=5e4)),
         _PRESS,
         _SLIP_LINE,
     ),
     Experiment(
         "press, 25 kPa",
-        _press(Material(yield_stress=25e3, shear_modulus=5e5)),
+        _press(Material(yield_stress=25e3, shear_modulus=1.25e6)),
         _PRESS,
         _SLIP_LINE,
+    ),
+    Experiment(
+        "press, 5 kPa, ball of 2.4 spacings",
+        _press(Material(), radius=0.012),
+        _PRESS,
+        _SLIP_LINE,
+    ),
+    *(
+        Experiment(
+            f"shear flow, {viscosity:g} Pa s at {rate:g} /s",
+            _couette(rate, viscosity),
+            (Figure("stress over τ_y + η γ̇", _flow_ratio, 1.0, 0.05),),
+            "Bingham fluid between rough plates (Couette)",
+        )
+        for rate, viscosity in ((2.0, 20.0), (5.0, 200.0), (10.0, 400.0))
+    ),
+    *(
+        Experiment(
+            f"film, yield ratio {ratio:g}, index {index:g}",
+            _film(ratio, index),
+            (Figure("speed of the plug over theory", "plug", 1.0, 0.05),),
+            "Herschel-Bulkley fluid down a rough incline (half of plane Poiseuille flow)",
+        )
+        for ratio, index in ((0.0, 1.0), (0.25, 1.0), (0.5, 1.0), (0.25, 0.5))
     ),
     Experiment(
         "merge",
