@@ -3,6 +3,20 @@
 
 from .acoustic_field import acoustic_field
 from .drive import solve_drive
+from .drive_steps import drive_steps
+from .focal_points import Foci, focus, reconstruct
+from .pressure_field import PressureField
+from .skin_sensitivity import SkinSensitivity
 from .transducer_array import TransducerArray
 
-__all__ = ["TransducerArray", "acoustic_field", "solve_drive"]
+__all__ = [
+    "Foci",
+    "PressureField",
+    "SkinSensitivity",
+    "TransducerArray",
+    "acoustic_field",
+    "drive_steps",
+    "focus",
+    "reconstruct",
+    "solve_drive",
+]

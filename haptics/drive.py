@@ -30,6 +30,11 @@ _REGULARISATION = 1e-3
 _PHASE_SWEEPS = 10
 _WEIGHT_SWEEPS = 5
 _NEWTON_STEPS = 3
+_NEWTON_STEPS_ON_OFF = 7
+_SLACK = 1.1
+"""Transducers left on beyond those that would just do: at their limit phases can balance nothing."""
+_FEWEST = 3
+"""Transducers that are left on for each focus, however faint: phases then make foci fainter."""
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
@@ -112,12 +117,13 @@ def _on_or_off(array: TransducerArray, transfer: Complex, target: Real, method: 
         gain = _gain(seen @ phases, target)
         drive[:] = 0.0
         drive[on] = phases
-        wanted = min(1.0, part / gain)
+        wanted = min(1.0, max(_SLACK * part / gain, _FEWEST * len(target) / array.count))
         if attempt == 2 or abs(wanted - part) < 1.0 / array.count:
             break
         part = wanted
     if method == "exact":
-        drive[on] = _newton(seen, target, phases, 1.0 if gain > 0.9 else None)
+        gain = min(1.0, gain / _SLACK)
+        drive[on] = _newton(seen, target, phases, gain, steps=_NEWTON_STEPS_ON_OFF)
     return realised(array, drive)
 
 
@@ -172,12 +178,19 @@ def _weighted(
     return drive
 
 
-def _newton(transfer: Complex, target: Real, drive: Complex, gain: float | None) -> Complex:
+def _newton(
+    transfer: Complex,
+    target: Real,
+    drive: Complex,
+    gain: float | None,
+    *,
+    steps: int = _NEWTON_STEPS,
+) -> Complex:
     """Turn phases by Gauss–Newton until foci have `gain` times their target, or one common gain.
 
     There are more transducers than foci, so each step takes the least turn that would do.
     """
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(steps):
         reached = transfer @ drive
         size = np.maximum(np.abs(reached), 1e-30)
         miss = (_gain(reached, target) if gain is None else gain) * target - size

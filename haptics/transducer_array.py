@@ -58,7 +58,7 @@ class TransducerArray:
     working_volume: Array = field(
         default_factory=lambda: np.array(((-0.12, -0.12, 0.05), (0.12, 0.12, 0.45)))
     )
-    """Two corners of the box in the array's own coordinates where foci may lie [m], shape [2, 3]."""
+    """Corners of the box, in the array's own coordinates, where foci may lie [m], shape [2, 3]."""
     pose: Array = field(default_factory=lambda: np.eye(4))
     """World from the array's own coordinates (origin in the middle, Z out of it), shape [4, 4]."""
 
