@@ -7,16 +7,19 @@ from .drive_steps import drive_steps
 from .focal_points import Foci, focus, reconstruct
 from .pressure_field import PressureField
 from .skin_sensitivity import SkinSensitivity
+from .spatiotemporal import Route, plan_route
 from .transducer_array import TransducerArray
 
 __all__ = [
     "Foci",
     "PressureField",
+    "Route",
     "SkinSensitivity",
     "TransducerArray",
     "acoustic_field",
     "drive_steps",
     "focus",
+    "plan_route",
     "reconstruct",
     "solve_drive",
 ]

@@ -6,6 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .small_product import small_product
+
 _SPLIT = 0.75
 """A cluster is split while its spread along its longest axis is more, over sigma."""
 _MERGE = 1.0
@@ -79,7 +81,7 @@ class Clusters:
         score, members = self._members(centres - self._middle)
         closest = (self._square - 2.0 * score).argmin(1)
         least = self._square[closest] - 2.0 * score[np.arange(len(score)), closest]
-        beyond = self._square - 2.0 * score.max(0) - least @ members
+        beyond = self._square - 2.0 * score.max(0) - small_product(members.T, least)
         # Nothing is smaller than e^-40: processors are slow with such numbers.
         members *= np.exp(np.maximum(beyond * (-0.5 / reach**2), -40.0))
         members[np.arange(len(members)), closest] = 1.0
@@ -98,7 +100,7 @@ class Clusters:
 
     def _sums(self, centres: Real) -> Real:
         """Mass, first and second moments of each centre's cluster, shape [K, 10]."""
-        return (self._members(centres)[1] @ self._moments.T).astype(np.float64)
+        return small_product(self._members(centres)[1], self._moments.T).astype(np.float64)
 
     def _sweep(self, centres: Real, most: int) -> tuple[Real, Real]:
         """Lloyd's iteration; clusters that nothing belongs to vanish.
@@ -127,7 +129,7 @@ class Clusters:
         random = np.random.default_rng(20210706)
         chance = self._mass
         least = np.full(len(chance), np.inf)
-        seeds: list[Real] = []
+        seeds: list[NDArray[np.float32]] = []
         while len(seeds) < count and chance.any():
             sums = np.cumsum(chance)
             pick = int(np.searchsorted(sums, random.random() * sums[-1], side="right"))
@@ -135,7 +137,7 @@ class Clusters:
             seeds.append(seed)
             np.minimum(least, np.square(self._rows - seed[:, None]).sum(0), out=least)
             chance = self._mass * np.where(least < (_MERGE * self._sigma) ** 2, 0.0, least)
-        return np.array(seeds)
+        return np.array(seeds, np.float64)
 
     def _adapted(self, centres: Real, sums: Real, count: int) -> Real | None:
         """Centres with one cluster more, fewer or elsewhere; None where nothing is to change."""

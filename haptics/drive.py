@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .acoustic_field import propagation
 from .drive_steps import realised
+from .small_product import small_product
 from .transducer_array import TransducerArray
 
 METHODS = ("exact", "gspat", "wgs", "eigen", "naive")
@@ -32,7 +33,7 @@ _WEIGHT_SWEEPS = 5
 _NEWTON_STEPS = 3
 _NEWTON_STEPS_ON_OFF = 7
 _SLACK = 1.1
-"""Transducers left on beyond those that would just do: at their limit phases can balance nothing."""
+"""Transducers left on over those that would just do: at their limit phases can balance nothing."""
 _FEWEST = 3
 """Transducers that are left on for each focus, however faint: phases then make foci fainter."""
 
@@ -97,7 +98,7 @@ def _graded(transfer: Complex, target: Real, method: str) -> Complex:
     if method == "exact" and largest > 1.0:
         drive = _newton(transfer, target, _weighted(transfer, target, drive), None)
     if method != "exact" or largest > 1.0:
-        drive = drive / _gain(transfer @ drive, target)
+        drive = drive / _gain(small_product(transfer, drive), target)
     return drive / max(float(np.abs(drive).max()), 1.0)
 
 
@@ -114,7 +115,7 @@ def _on_or_off(array: TransducerArray, transfer: Complex, target: Real, method: 
         phases = _unit(_start(seen, target, method))
         if method == "exact":
             phases = _weighted(seen, target, phases)
-        gain = _gain(seen @ phases, target)
+        gain = _gain(small_product(seen, phases), target)
         drive[:] = 0.0
         drive[on] = phases
         wanted = min(1.0, max(_SLACK * part / gain, _FEWEST * len(target) / array.count))
@@ -131,10 +132,10 @@ def _start(transfer: Complex, target: Real, method: str) -> Complex:
     """Drive by one method, of any amplitude, shape [T]."""
     adjoint = transfer.conj().T
     if method == "wgs":
-        return _weighted(transfer, target, adjoint @ target, sweeps=30)
+        return _weighted(transfer, target, small_product(adjoint, target), sweeps=30)
     if method == "naive":
-        return np.asarray(adjoint @ (target / (np.abs(transfer) ** 2).sum(1)))
-    overlap = transfer @ adjoint
+        return small_product(adjoint, target / (np.abs(transfer) ** 2).sum(1))
+    overlap = small_product(transfer, adjoint)
     power = overlap.diagonal().real
     if method == "gspat":
         size = np.sqrt(power)
@@ -142,7 +143,7 @@ def _start(transfer: Complex, target: Real, method: str) -> Complex:
         focus = _alternate(overlap, target, sweeps=100)
         reached = overlap @ focus
         focus = target * target / np.maximum(np.abs(reached), 1e-30) * _unit(reached)
-        return np.asarray(adjoint @ (focus / size))
+        return small_product(adjoint, focus / size)
     if method == "eigen":
         size = np.sqrt(power)
         weighted = np.outer(target / size, target / size) * overlap
@@ -150,7 +151,7 @@ def _start(transfer: Complex, target: Real, method: str) -> Complex:
     else:
         focus = _alternate(overlap, target, sweeps=_PHASE_SWEEPS)
     lifted = overlap + _REGULARISATION * power.mean() * np.eye(len(target))
-    return np.asarray(adjoint @ np.linalg.solve(lifted, focus))
+    return small_product(adjoint, np.linalg.solve(lifted, focus))
 
 
 def _alternate(overlap: Complex, target: Real, *, sweeps: int) -> Complex:
@@ -170,11 +171,11 @@ def _weighted(
     weight = target.copy()
     drive = _unit(drive)
     for _ in range(sweeps):
-        reached = transfer @ drive
+        reached = small_product(transfer, drive)
         size = np.maximum(np.abs(reached), 1e-30)
         ratio = target / size
         weight *= ratio / ratio.mean()
-        drive = _unit(adjoint @ (reached * (weight / size)))
+        drive = _unit(small_product(adjoint, reached * (weight / size)))
     return drive
 
 
@@ -191,13 +192,13 @@ def _newton(
     There are more transducers than foci, so each step takes the least turn that would do.
     """
     for _ in range(steps):
-        reached = transfer @ drive
+        reached = small_product(transfer, drive)
         size = np.maximum(np.abs(reached), 1e-30)
         miss = (_gain(reached, target) if gain is None else gain) * target - size
         slope = -((reached.conj() / size)[:, None] * transfer * drive).imag
-        normal = slope @ slope.T
+        normal = small_product(slope, slope.T)
         normal += 1e-3 * np.trace(normal) / len(target) * np.eye(len(target))
-        turn = slope.T @ np.linalg.solve(normal, miss)
+        turn = small_product(slope.T, np.linalg.solve(normal, miss))
         drive = drive * np.exp(1j * np.clip(turn, -0.7, 0.7))
     return drive
 

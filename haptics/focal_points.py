@@ -59,9 +59,9 @@ def focus(
     """Choose focal points that stand for a pressure field.
 
     Their places are a weighted k-means clustering of α p* (equation 8), seeded by k-means++ or,
-    from frame to frame, by the last foci; then each is laid onto the skin beside it. There are as many
-    as the touched skin needs: a cluster is split while its spread along its longest axis is more
-    than 0.75 sigma, and foci nearer than one sigma, which no array of that wavelength can tell
+    from frame to frame, by the last foci; then each is laid onto the skin beside it. There are as
+    many as the touched skin needs: a cluster is split while its spread along its longest axis is
+    more than 0.75 sigma, and foci nearer than one sigma, which no array of that wavelength can tell
     apart, become one. Their pressures fit p* over each focus's Voronoi region (equation 9): the
     least-squares solution is Σ p* G / Σ G², G being the Gaussian; the paper prints Σ p* G / Σ G,
     which gives too little (``rule="printed"``).
@@ -85,12 +85,13 @@ def focus(
     """
     points = np.asarray(positions, np.float64)
     target = np.asarray(pressures, np.float64)
-    mass = np.asarray(weights, np.float64) * target if len(target) else target
-    if target.ndim != 1 or points.shape != (len(target), 3) or mass.shape != target.shape:
+    alpha = np.asarray(weights, np.float64)
+    if target.ndim != 1 or points.shape != (len(target), 3) or alpha.shape != target.shape:
         raise ValueError(
             f"A field has positions of shape {points.shape}, pressures of {target.shape} and "
-            f"weights of {np.shape(weights)}; expected (G, 3), (G,) and (G,)."
+            f"weights of {alpha.shape}; expected (G, 3), (G,) and (G,)."
         )
+    mass = alpha * target
     if rule not in PRESSURE_RULES:
         raise ValueError(f"rule is {rule!r}; it must be one of {', '.join(PRESSURE_RULES)}.")
     if count < 0 or not (math.isfinite(sigma) and sigma > 0):

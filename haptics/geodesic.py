@@ -14,10 +14,12 @@ def geodesic_distances(
 ) -> Real:
     """Distance of each vertex along a mesh from the nearest source [m], shape [V].
 
-    Across every triangle the distances at two corners are those from a point in its unfolded plane,
-    which gives that at the third (Novotni and Klein, "Computing geodesic distances on triangular
-    meshes", WSCG 2002); this is done for all triangles at once until nothing gets less. On a plane
-    that is exact; on a sphere of 2,562 vertices it is within 1 %.
+    Across a triangle, unfolded into a plane, the distances at two corners give that at the third:
+    where both are reached from the same source, as from one point (Novotni and Klein, "Computing
+    geodesic distances on triangular meshes", WSCG 2002), else as by a straight front (Kimmel and
+    Sethian, PNAS 95, 1998). This is done for all triangles at once until nothing gets less. On a
+    plane it is exact from one source; on a sphere of 2,562 vertices it is .3 % off on average and
+    1.3 % at most.
 
     Args:
         vertices: Positions [m], shape [V, 3].
@@ -33,6 +35,7 @@ def geodesic_distances(
     if not sources.any():
         raise ValueError("Distances along a surface need a vertex to start from.")
     distance = np.where(sources, 0.0, np.inf)
+    origin = np.arange(len(vertices))
     corners = np.concatenate([np.roll(np.asarray(faces), -shift, axis=1) for shift in range(3)])
     left, right, top = corners.T
     base = np.linalg.norm(vertices[right] - vertices[left], axis=1)
@@ -48,15 +51,33 @@ def geodesic_distances(
         a, b = distance[left], distance[right]
         along = np.minimum(a + up_left, b + up_right)
         with np.errstate(invalid="ignore", divide="ignore"):
-            x = (base**2 + a**2 - b**2) / (2.0 * base)
-            square = a**2 - x**2
-            y = -np.sqrt(np.maximum(square, 0.0))
-            crossing = x + (top_x - x) * (-y / (top_y - y))
-            inside = (square >= 0.0) & (crossing >= 0.0) & (crossing <= base)
-            through = np.hypot(top_x - x, top_y - y)
-        reached = np.where(inside, through, along)
+            point = _from_point(a, b, base, top_x, top_y)
+            front = _from_front(a, b, base, top_x, top_y)
+        reached = np.fmin(along, np.where(origin[left] == origin[right], point, front))
         shorter = distance.copy()
         np.minimum.at(shorter, top, reached)
         if not (shorter < distance * (1.0 - 1e-9)).any():
             return shorter
+        new = np.flatnonzero((reached == shorter[top]) & (shorter[top] < distance[top]))
+        nearer = np.where(a + up_left <= b + up_right, origin[left], origin[right])
+        origin[top[new]] = nearer[new]
         distance = shorter
+
+
+def _from_point(a: Real, b: Real, base: Real, top_x: Real, top_y: Real) -> Real:
+    """Distance at the top of triangles from the point below that is a and b off; NaN beside it."""
+    x = (base**2 + a**2 - b**2) / (2.0 * base)
+    square = a**2 - x**2
+    y = -np.sqrt(np.maximum(square, 0.0))
+    crossing = x + (top_x - x) * (-y / (top_y - y))
+    inside = (square >= 0.0) & (crossing >= 0.0) & (crossing <= base)
+    return np.where(inside, np.hypot(top_x - x, top_y - y), np.nan)
+
+
+def _from_front(a: Real, b: Real, base: Real, top_x: Real, top_y: Real) -> Real:
+    """Distance at the top of triangles behind a straight front; NaN where it comes from beside."""
+    slope = (b - a) / base
+    rise = np.sqrt(np.maximum(1.0 - slope**2, 0.0))
+    crossing = top_x - top_y * slope / rise
+    inside = (np.abs(slope) < 1.0) & (crossing >= 0.0) & (crossing <= base)
+    return np.where(inside, a + slope * top_x + rise * top_y, np.nan)

@@ -39,7 +39,7 @@ class TransducerArray:
     positions: Array
     """Centres of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
     normals: Array
-    """Unit vectors along which each of them emits, shape [T, 3]."""
+    """Unit vectors along which each of them emits, shape [T, 3]; one vector stands for all."""
     p0: float
     """Peak pressure on a transducer's axis times the distance, at full drive [Pa·m]."""
     radius: float
@@ -75,7 +75,7 @@ class TransducerArray:
         }
         for name, shape in shapes.items():
             value = np.asarray(getattr(self, name), np.float64)
-            if name in ("normals", "phase_offsets") and value.shape in ((3,), (1,), ()):
+            if (name, value.shape) in (("normals", (3,)), ("phase_offsets", (1,))):
                 value = np.broadcast_to(value, shape)
             if value.shape != shape:
                 raise ValueError(
