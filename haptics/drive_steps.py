@@ -20,11 +20,7 @@ def realised(array: TransducerArray, drive: ArrayLike) -> NDArray[np.complex128]
             taken as 1.
     """
     phases, amplitudes = drive_steps(array, drive)
-    size = np.asarray(
-        amplitudes
-        if array.amplitude_steps is None
-        else np.sin(0.5 * math.pi * amplitudes / array.amplitude_steps)
-    )
+    size = amplitudes if array.amplitude_steps is None else _levels(array)[amplitudes.astype(int)]
     turn = phases if array.phase_steps is None else phases * (2.0 * math.pi / array.phase_steps)
     return np.asarray(size * np.exp(1j * turn))
 
@@ -40,7 +36,7 @@ def drive_steps(
 
     Returns:
         The phase by which each transducer lags, as a step 0 to phase_steps - 1, or in radians where
-        the array has no steps, shape [T]; and the step of its pulse width, 0 to amplitude_steps, or
+        the array has no steps, shape [T]; and the step of its amplitude, 0 to amplitude_steps, or
         the amplitude itself, shape [T].
     """
     wanted = np.asarray(drive, np.complex128)
@@ -49,7 +45,13 @@ def drive_steps(
     if array.phase_steps is not None:
         phases = np.rint(phases * (array.phase_steps / (2.0 * math.pi))) % array.phase_steps
     if array.amplitude_steps is not None:
-        count = array.amplitude_steps
-        levels = np.sin(0.5 * math.pi * np.arange(count + 1) / count)
+        levels = _levels(array)
         amplitudes = np.searchsorted(0.5 * (levels[1:] + levels[:-1]), amplitudes).astype(float)
     return phases, amplitudes
+
+
+def _levels(array: TransducerArray) -> NDArray[np.float64]:
+    """Amplitudes of the steps from 0 to the last, shape [N + 1]."""
+    assert array.amplitude_steps is not None
+    part = np.arange(array.amplitude_steps + 1) / array.amplitude_steps
+    return part if array.amplitude_law == "linear" else np.sin(0.5 * math.pi * part)

@@ -15,6 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 _PRESET_FOLDER = Path(__file__).resolve().parent.parent / "presets" / "arrays"
 
+AMPLITUDE_LAWS = ("pulse_width", "linear")
+"""How a driver board's steps are amplitudes."""
+
 Array = NDArray[np.float64]
 
 
@@ -53,8 +56,11 @@ class TransducerArray:
     phase_steps: int | None = None
     """Phases that the driver can tell apart in a period; any where not given."""
     amplitude_steps: int | None = None
-    """Steps N of its pulse width, which give the amplitudes sin(π n / 2N), n = 0 to N: with 1, a
-    transducer is off or on; any amplitude where not given."""
+    """Amplitudes N besides off that it can tell apart: with 1, a transducer is off or on; any
+    amplitude where not given."""
+    amplitude_law: str = "pulse_width"
+    """What amplitude a step n of N is: sin(π n / 2N), as of a pulse of that part of half a period
+    ("pulse_width"), or n / N, where the board makes up for that itself ("linear")."""
     working_volume: Array = field(
         default_factory=lambda: np.array(((-0.12, -0.12, 0.05), (0.12, 0.12, 0.45)))
     )
@@ -99,6 +105,11 @@ class TransducerArray:
                 raise ValueError(
                     f"TransducerArray.{name} is {number!r}; it must be a number {bound}."
                 )
+        if self.amplitude_law not in AMPLITUDE_LAWS:
+            raise ValueError(
+                f"TransducerArray.amplitude_law is {self.amplitude_law!r}; it must be one of "
+                f"{', '.join(AMPLITUDE_LAWS)}."
+            )
         for name, fewest in (("phase_steps", 2), ("amplitude_steps", 1)):
             steps = getattr(self, name)
             if steps is not None and steps < fewest:
@@ -259,7 +270,7 @@ def _check_keys(path: Path, table: Mapping[str, object], known: set[str]) -> Non
             raise ValueError(
                 f"{path.name}: unknown key {key!r}. Known keys: {', '.join(sorted(known))}."
             )
-        if isinstance(value, bool | str):
+        if isinstance(value, bool) or (isinstance(value, str) and key != "amplitude_law"):
             raise ValueError(f"{path.name}: {key} is {value!r}; it must be a number.")
 
 

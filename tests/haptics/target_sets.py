@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random sets of foci that drives are judged by, as Fushimi et al. do (Diff-PAT, Sci. Rep. 2021)."""
+"""Random sets of foci that drives are judged by, as Fushimi et al. do (Diff-PAT, 2021)."""
 
 import numpy as np
 from numpy.typing import NDArray

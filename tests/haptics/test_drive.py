@@ -160,3 +160,14 @@ def test_steps_are_what_a_board_is_told():
     assert amplitudes[:6].tolist() == [4, 4, 4, 4, 1, 0]
     again = realised(array, realised(array, drive))
     assert np.allclose(again, realised(array, drive))
+
+
+def test_a_board_may_make_up_for_its_pulse_width():
+    """Tell AUTD3 the amplitude itself, in 255 parts."""
+    array = TransducerArray.preset("autd3")
+    drive = np.zeros(array.count, complex)
+    drive[:3] = (1.0, 0.5j, -0.2)
+    phases, amplitudes = drive_steps(array, drive)
+    assert phases[:3].tolist() == [0, 64, 128]
+    assert amplitudes[:3].tolist() == [255, 128, 51]
+    assert np.allclose(realised(array, drive), drive, atol=1 / 500)

@@ -88,6 +88,7 @@ def test_a_pose_that_is_not_rigid_is_refused(matrix):
         ({"normals": np.array((0.0, 0.0, 2.0))}, "length 1"),
         ({"phase_offsets": np.zeros(3)}, "phase_offsets"),
         ({"phase_steps": 1}, "phase_steps"),
+        ({"amplitude_law": "square"}, "amplitude_law"),
         ({"working_volume": np.zeros((2, 3))}, "lowest corner"),
     ],
 )
