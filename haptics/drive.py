@@ -31,7 +31,7 @@ _REGULARISATION = 1e-3
 _PHASE_SWEEPS = 10
 _WEIGHT_SWEEPS = 5
 _NEWTON_STEPS = 3
-_NEWTON_STEPS_ON_OFF = 7
+_NEWTON_STEPS_ON_OFF = 6
 _SLACK = 1.1
 """Transducers left on over those that would just do: at their limit phases can balance nothing."""
 _FEWEST = 3
@@ -104,28 +104,27 @@ def _graded(transfer: Complex, target: Real, method: str) -> Complex:
 
 def _on_or_off(array: TransducerArray, transfer: Complex, target: Real, method: str) -> Complex:
     """Drive of transducers that emit fully or not at all, shape [T]."""
-    order = _scatter(array)
-    part = 1.0
-    drive = np.zeros(array.count, np.complex128)
-    for attempt in range(3):
-        on = order < part
-        if not on.any():
-            on = order == order.min()
-        seen = transfer[:, on]
-        phases = _unit(_start(seen, target, method))
-        if method == "exact":
-            phases = _weighted(seen, target, phases)
-        gain = _gain(small_product(seen, phases), target)
-        drive[:] = 0.0
-        drive[on] = phases
-        wanted = min(1.0, max(_SLACK * part / gain, _FEWEST * len(target) / array.count))
-        if attempt == 2 or abs(wanted - part) < 1.0 / array.count:
-            break
-        part = wanted
+    on = np.ones(array.count, bool)
+    phases, gain = _all_alike(transfer, target, method)
+    part = max(_SLACK / gain, _FEWEST * len(target) / array.count)
+    if part < 1.0:
+        order = _scatter(array)
+        on = order <= np.quantile(order, part)
+        phases, gain = _all_alike(transfer[:, on], target, method)
     if method == "exact":
-        gain = min(1.0, gain / _SLACK)
-        drive[on] = _newton(seen, target, phases, gain, steps=_NEWTON_STEPS_ON_OFF)
+        wanted = min(1.0, gain / _SLACK)
+        phases = _newton(transfer[:, on], target, phases, wanted, steps=_NEWTON_STEPS_ON_OFF)
+    drive = np.zeros(array.count, np.complex128)
+    drive[on] = phases
     return realised(array, drive)
+
+
+def _all_alike(transfer: Complex, target: Real, method: str) -> tuple[Complex, float]:
+    """Drive of amplitude 1, shape [T], and by how much it is stronger than the target."""
+    drive = _unit(_start(transfer, target, method))
+    if method == "exact":
+        drive = _weighted(transfer, target, drive)
+    return drive, _gain(small_product(transfer, drive), target)
 
 
 def _start(transfer: Complex, target: Real, method: str) -> Complex:

@@ -166,7 +166,7 @@ def test_a_board_may_make_up_for_its_pulse_width():
     """Tell AUTD3 the amplitude itself, in 255 parts."""
     array = TransducerArray.preset("autd3")
     drive = np.zeros(array.count, complex)
-    drive[:3] = (1.0, 0.5j, -0.2)
+    drive[:3] = (1.0, 0.503j, -0.2)
     phases, amplitudes = drive_steps(array, drive)
     assert phases[:3].tolist() == [0, 64, 128]
     assert amplitudes[:3].tolist() == [255, 128, 51]

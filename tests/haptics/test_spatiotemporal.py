@@ -51,11 +51,21 @@ def test_tour_of_a_grid_goes_up_and_down():
 def test_stops_serve_all_points():
     """Leave no point much farther from a stop than asked, with no stops to spare."""
     points = skin()
-    stops = spread_stops(points, SIGMA, first=0)
+    stops, known = spread_stops(points, SIGMA, first=0)
+    assert known == 0
     away = np.linalg.norm(points[:, None] - stops[None], axis=2).min(1)
     assert away.max() < 1.5 * SIGMA
     # A stop serves a hexagon of that radius at best, and a half of it at the edges.
     assert len(stops) < 2.2 * 0.09**2 / (2.6 * SIGMA**2)
+
+
+def test_a_known_tour_takes_further_stops_in():
+    """Keep a tour that is known as good, and put new stops beside their neighbours."""
+    angle = np.arange(20) * 0.1 * np.pi
+    ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    order = np.concatenate([np.arange(0, 20, 2), np.arange(1, 20, 2)])
+    tour = closed_tour(ring[order], known=10)
+    assert length(ring[order][tour]) == pytest.approx(length(ring))
 
 
 def test_route_keeps_to_its_speed_and_to_the_skin():
@@ -68,7 +78,9 @@ def test_route_keeps_to_its_speed_and_to_the_skin():
     assert step.max() <= 6.0 / 40e3 + 1e-9
     assert np.hypot(*route.positions[:, :2].T).max() < 0.035 + 0.003
     assert np.abs(route.positions[:, 2] - 0.15).max() < 1e-6
-    assert route.repeat_rate == pytest.approx(4 * route.speed / route.length, rel=0.1)
+    assert route.repeat_rate == pytest.approx(
+        route.focus_count * route.speed / route.length, rel=0.1
+    )
     assert (route.pressures >= 0.0).all()
     assert route.pressures.max() <= 1000.0 + 1e-9
 
