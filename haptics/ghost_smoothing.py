@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
 _REACH = 2.5
 """How far neighbours count, over the standard deviation of the Gaussian."""
 _BALANCING_SWEEPS = 30
-_CHUNK = 1 << 21
 
 Real = NDArray[np.float64]
 
@@ -33,7 +34,6 @@ class GhostSmoothing:
     def __init__(self, positions: Real, normals: Real, areas: Real) -> None:
         self._count = len(areas)
         surface = np.flatnonzero(areas > 0.0)
-        self._first = np.zeros(0, np.intp)
         self._second = np.zeros(0, np.intp)
         self._factor = np.zeros(0)
         self._starts = np.zeros(0, np.intp)
@@ -48,7 +48,7 @@ class GhostSmoothing:
         for _ in range(_BALANCING_SWEEPS):
             reached = np.bincount(first, weight * (balance * area)[second], minlength=len(surface))
             balance = np.sqrt(balance / reached)
-        self._first, self._second = surface[first], surface[second]
+        self._second = surface[second]
         self._factor = weight * balance[first] * balance[second] * area[second]
         # What rounding and an unfinished balance leave of the force, each ghost makes up itself.
         kept = np.bincount(second, self._factor * area[first], minlength=len(surface)) / area
@@ -56,14 +56,16 @@ class GhostSmoothing:
         self._factor[own] += (1.0 - kept)[first[own]]
         self._starts = np.searchsorted(first, np.arange(len(surface)))
         self._rows = surface
+        self._buffer = np.empty(len(first))
 
     def applied(self, pressures: Real) -> Real:
         """The pressures smoothed [Pa], shape [G]; 0 for ghosts that take no part."""
         result = np.zeros(self._count)
         if len(self._rows) and pressures.any():
-            result[self._rows] = np.add.reduceat(
-                self._factor * pressures[self._second], self._starts
-            )
+            # One buffer for all frames: fresh memory of this size costs more than the sums.
+            np.take(pressures, self._second, out=self._buffer, mode="clip")
+            self._buffer *= self._factor
+            result[self._rows] = np.add.reduceat(self._buffer, self._starts)
         return result
 
 
@@ -75,14 +77,24 @@ def _pairs(
     Returns:
         First, second and the square of their distance [m²], sorted by the first, shape [N].
     """
-    rows = max(1, _CHUNK // len(positions))
+    cell = ((positions - positions.min(0)) / reach).astype(np.int64) + 1
+    size = cell.max(0) + 2
+    key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    ranked = key[order]
     found = []
-    for begin in range(0, len(positions), rows):
-        part = slice(begin, begin + rows)
-        square = np.square(positions[part, None] - positions[None]).sum(2)
-        near = (square < reach * reach) & (normals[part] @ normals.T > 0.0)
-        near[np.arange(len(near)), begin + np.arange(len(near))] = True
-        first, second = np.nonzero(near)
-        found.append((first + begin, second, square[first, second]))
-    first, second, squares = (np.concatenate(part) for part in zip(*found, strict=True))
-    return first, second, squares
+    for step in product((-1, 0, 1), repeat=3):
+        there = key + (step[0] * size[1] + step[1]) * size[2] + step[2]
+        low = np.searchsorted(ranked, there, "left")
+        count = np.searchsorted(ranked, there, "right") - low
+        first = np.repeat(np.arange(len(key)), count)
+        place = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
+        second = order[place + np.repeat(low, count)]
+        square = np.square(positions[first] - positions[second]).sum(1)
+        near = square < reach * reach
+        near &= np.einsum("ni,ni->n", normals[first], normals[second]) > 0.0
+        near |= first == second
+        found.append((first[near], second[near], square[near]))
+    first, second, square = (np.concatenate(part) for part in zip(*found, strict=True))
+    order = np.lexsort((second, first))
+    return first[order], second[order], square[order]

@@ -18,8 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..solver.hand_rig import HandRig
 from .finger_pads import FingerPads, find_finger_pads
 from .geodesic import geodesic_distances
+from .small_product import small_product
 
 _PRESET = Path(__file__).resolve().parent.parent / "presets" / "haptics" / "skin_sensitivity.toml"
+
+_CHUNK = 64
 
 Real = NDArray[np.float64]
 
@@ -130,11 +133,15 @@ def _on_surface(vertices: Real, faces: NDArray[np.integer], values: Real, points
     first = np.cumsum(valence) - valence
     place = np.minimum(np.arange(valence.max()), np.maximum(valence, 1)[:, None] - 1)
     around = order[np.minimum(first[:, None] + place, len(order) - 1)] // 3
-    squares = np.where(valence > 0, np.square(vertices).sum(1), np.inf)
+    middle = vertices.mean(0)
+    lines = np.ascontiguousarray((vertices - middle).T, np.float32)
+    squares = np.where(valence > 0, 0.5 * np.square(lines).sum(0), np.inf).astype(np.float32)
     result = np.empty(len(points))
-    for begin in range(0, len(points), 256):
-        part = points[begin : begin + 256]
-        nearest = (squares - 2.0 * part @ vertices.T).argmin(1)
+    for begin in range(0, len(points), _CHUNK):
+        part = points[begin : begin + _CHUNK]
+        score = small_product((part - middle).astype(np.float32), lines)
+        score -= squares
+        nearest = score.argmax(1)
         triangles = np.asarray(faces)[around[nearest]]
         count = triangles.shape[1]
         shares, away = _closest(
@@ -143,7 +150,7 @@ def _on_surface(vertices: Real, faces: NDArray[np.integer], values: Real, points
         best = away.reshape(-1, count).argmin(1)
         rows = np.arange(len(part))
         chosen = shares.reshape(-1, count, 3)[rows, best]
-        result[begin : begin + 256] = (chosen * values[triangles[rows, best]]).sum(1)
+        result[begin : begin + _CHUNK] = (chosen * values[triangles[rows, best]]).sum(1)
     return result
 
 
