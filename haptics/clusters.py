@@ -12,6 +12,9 @@ _SPLIT = 0.75
 """A cluster is split while its spread along its longest axis is more, over sigma."""
 _MERGE = 1.0
 """Clusters nearer than this are one, over sigma."""
+_APART = 1.5
+"""Seeds are no nearer than this, over sigma: what they lack is split later, what they have too much
+would stay until it came near enough to merge."""
 _PART = 0.8
 """Halves of a split cluster are put so far from its middle, over its spread: those of a line."""
 _WORTH = 3.0
@@ -137,7 +140,7 @@ class Clusters:
     def _seeds(self, count: int) -> Real:
         """k-means++: each next seed is drawn by mass times squared distance to those there are.
 
-        The drawing is the same each time. A point within the distance of merging is no seed.
+        The drawing is the same each time.
         """
         random = np.random.default_rng(20210706)
         chance = self._mass
@@ -149,7 +152,7 @@ class Clusters:
             seed = self._rows[:, min(pick, len(chance) - 1)]
             seeds.append(seed)
             np.minimum(least, np.square(self._rows - seed[:, None]).sum(0), out=least)
-            chance = self._mass * np.where(least < (_MERGE * self._sigma) ** 2, 0.0, least)
+            chance = self._mass * np.where(least < (_APART * self._sigma) ** 2, 0.0, least)
         return np.array(seeds, np.float64)
 
     def _adapted(self, centres: Real, sums: Real, count: int) -> Real | None:

@@ -100,8 +100,11 @@ def find_finger_pads(rig: HandRig) -> FingerPads:
 
 def _chains(rig: HandRig, heads: Real) -> dict[str, list[int]]:
     """Bones of each finger, from the hand outward; fingers of one bone are left out."""
+    # A body's skeleton has two hands.
+    other = {"left": "right", "right": "left"}.get(rig.side, "-")
+    own = [i for i, name in enumerate(rig.bone_names) if _named_side(name) != other]
     named = {
-        finger: [i for i, name in enumerate(rig.bone_names) if re.search(pattern, name.lower())]
+        finger: [i for i in own if re.search(pattern, rig.bone_names[i].lower())]
         for finger, pattern in _NAMES.items()
     }
     root = _wrist(rig, heads, {bone for bones in named.values() for bone in bones})
@@ -179,9 +182,12 @@ def _knuckle(chain: list[int]) -> int:
 
 def _wrist(rig: HandRig, heads: Real, fingers: set[int]) -> Real:
     """A point on the arm's side of the knuckles."""
+    other = {"left": "right", "right": "left"}.get(rig.side, "-")
     for pattern in (r"wrist|手首", r"hand"):
         for index, name in enumerate(rig.bone_names):
-            if index not in fingers and re.search(pattern, name.lower()):
+            if index in fingers or _named_side(name) == other:
+                continue
+            if re.search(pattern, name.lower()):
                 return np.asarray(heads[index])
     others = [i for i in range(len(heads)) if i not in fingers]
     return np.asarray(heads[others or slice(None)].mean(0))
@@ -191,10 +197,16 @@ def _side(rig: HandRig) -> str:
     """Whether a hand is a left or a right one, empty where it is not known."""
     if rig.side:
         return rig.side
-    names = [re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower() for name in rig.bone_names]
-    right = sum(bool(_RIGHT.search(name)) for name in names)
-    left = sum(bool(_LEFT.search(name)) for name in names)
+    sides = [_named_side(name) for name in rig.bone_names]
+    right, left = sides.count("right"), sides.count("left")
     return "" if right == left else "right" if right > left else "left"
+
+
+def _named_side(name: str) -> str:
+    """The side that a bone's name tells, empty where it tells none."""
+    words = re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()
+    right, left = bool(_RIGHT.search(words)), bool(_LEFT.search(words))
+    return "" if right == left else "right" if right else "left"
 
 
 def _turned(vector: Real, start: Real, end: Real) -> Real:

@@ -53,7 +53,8 @@ def focal_pressure(
 ) -> Real:
     """What an array should give for a pressure of clay: c (1 − e^{−g p / c}) [Pa].
 
-    Clay presses with tens of kilopascals, an array with about one. The map rises throughout, by
+    Focal pressures here and everywhere are peak values of the sound at full modulation. Clay
+    presses with tens of kilopascals, an array with about one. The map rises throughout, by
     `gain` for the lightest touch and ever less towards `ceiling`, so that harder contact is always
     felt as harder and nothing is asked of the array that it cannot give.
 

@@ -335,8 +335,16 @@ class ModulationComparison:
     """Time average of the same along the route."""
 
 
-def compare_modulations(hand: Hand, *, count: int = 8) -> list[ModulationComparison]:
-    """Render contacts of several sizes by both modulations, as many foci at a time as AM has."""
+def compare_modulations(
+    hand: Hand, *, count: int = 8, samples: int = 120
+) -> list[ModulationComparison]:
+    """Render contacts of several sizes by both modulations, with as many foci at a time.
+
+    Args:
+        hand: That touches.
+        count: Foci at a time, at most.
+        samples: Moments of a round that the sound is averaged over.
+    """
     array = array_below()
     results = []
     for name, contacts in contact_sizes(hand).items():
@@ -359,15 +367,13 @@ def compare_modulations(hand: Hand, *, count: int = 8) -> list[ModulationCompari
                 misfit(touch.rendered, wanted, areas),
                 misfit(route.time_average(field.positions), wanted, areas),
                 misfit(loud, wanted, areas),
-                misfit(sound_along(array, route, field.positions), wanted, areas),
+                misfit(sound_along(array, route, field.positions, samples), wanted, areas),
             )
         )
     return results
 
 
-def sound_along(
-    array: TransducerArray, route: Route, points: Array, *, samples: int = 120
-) -> Array:
+def sound_along(array: TransducerArray, route: Route, points: Array, samples: int = 120) -> Array:
     """Mean over a round of an array's sound pressure at points [Pa, peak], shape [P]."""
     transfer = propagation(array, points)
     total = np.zeros(len(points))

@@ -2,6 +2,7 @@
 """Perceptual weights: pads are found on any hand, and weights follow receptor densities."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,6 +74,20 @@ def test_pads_are_found_by_names_and_shape(options, pose):
         # A thumb that is bound bent has its pad found turned by up to 45 degrees.
         assert np.mean(below > 0.0) > (0.7 if finger == "thumb" else 0.95)
     assert pads.finger_length == pytest.approx(0.0628 * scale, rel=0.03)
+
+
+def test_the_other_hand_of_a_body_is_left_alone():
+    """Find a right hand's pads in a skeleton that holds both hands."""
+    rig = bare_rig("right", named=lambda name: f"{name}.R")
+    rest = np.concatenate([rig.bone_rest, rig.bone_rest])
+    rest[len(rig.bone_rest) :, 0, 3] += 0.8
+    both = replace(
+        rig,
+        bone_names=(*rig.bone_names, *(name[:-1] + "L" for name in rig.bone_names)),
+        bone_rest=rest,
+        bone_parent=np.concatenate([rig.bone_parent, rig.bone_parent]),
+    )
+    assert np.array_equal(find_finger_pads(both).vertices, find_finger_pads(rig).vertices)
 
 
 def test_a_hand_without_fingers_is_refused():
