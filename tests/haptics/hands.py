@@ -2,6 +2,7 @@
 """Hands to try touch with: the generated mesh, bound to its joints without flesh."""
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def bare_rig(
         tips: Whether joints in the fingertips are kept.
         told_side: What the rig says of its side, `side` where not given.
     """
-    vertices, faces = hand_mesh(side, length=length, pose=pose, edge_length=edge_length)
+    vertices, faces = _mesh(side, length, pose, edge_length)
     shape = hand_shape(side, length=length, pose=pose)
     joints = [name for name in shape.joints if tips or not name.endswith("_tip")]
     joints.sort(key=lambda name: (len(_ancestors(name)), name))
@@ -83,6 +84,12 @@ def bare_rig(
         ghost_areas=areas,
         ghost_spacing=float(np.sqrt(np.median(areas))),
     )
+
+
+@cache
+def _mesh(side: str, length: float, pose: str | HandPose, edge_length: float | None):
+    """The mesh, made once for each kind of hand."""
+    return hand_mesh(side, length=length, pose=pose, edge_length=edge_length)
 
 
 def vertex_normals_and_areas(vertices: np.ndarray, faces: np.ndarray):
