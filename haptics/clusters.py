@@ -23,6 +23,8 @@ well above 1, lest the pair comes back with the next frame."""
 _STILL = 0.02
 """Centres that move less are where they should be, over sigma."""
 _SHIFTS = 4
+_OFF_SKIN = 1.3
+"""A mean of skin farther from every point than this, over its reach, lies in the air."""
 _SWEEPS_COLD, _SWEEPS_WARM = 30, 4
 
 Real = NDArray[np.float64]
@@ -75,8 +77,8 @@ class Clusters:
         """The skin beside each centre [m], shape [K, 3].
 
         It is the mean of the cluster's points about the one nearest to the centre, which moves
-        smoothly with the centre. Where the skin lies farther off than that mean is wide, as between
-        two fingers, it is the middle of the pressed skin next to that nearest point.
+        smoothly with the centre. Where that lies off the skin, as between two fingers, it is the
+        middle of the pressed skin next to the nearest point.
 
         Args:
             centres: Centres [m], shape [K, 3].
@@ -90,22 +92,21 @@ class Clusters:
         members *= np.exp(np.maximum(beyond * (-0.5 / reach**2), -40.0))
         members[np.arange(len(members)), closest] = 1.0
         mean = members @ self._rows.T / members.sum(1)[:, None]
-        nearest = self._rows[:, closest].T
-        far = np.square(mean - nearest).sum(1) > (2.0 * reach) ** 2
-        far |= least > (3.0 * reach) ** 2
-        for index in np.flatnonzero(far):
-            mean[index] = self._beside(nearest[index], reach)
+        off = (self._square - 2.0 * (mean @ self._rows)).min(1) + np.square(mean).sum(1)
+        for index in np.flatnonzero(off > (_OFF_SKIN * reach) ** 2):
+            mean[index] = self._beside(self._rows[:, closest[index]], reach)
         return np.asarray(mean + self._middle)
 
     def _beside(self, start: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
-        """The point next to where mean shift ends that begins at a point, shape [3]."""
+        """The skin beside where mean shift ends that begins at a point, shape [3]."""
         place = start
         for _ in range(_SHIFTS):
             square = np.square(self._rows - place[:, None]).sum(0)
             weight = self._mass * np.exp(np.maximum(square * (-0.125 / reach**2), -40.0))
             place = (small_product(self._rows, weight) / weight.sum()).astype(np.float32)
         square = np.square(self._rows - place[:, None]).sum(0)
-        return np.asarray(self._rows[:, square.argmin()])
+        weight = np.exp(np.maximum((square - square.min()) * (-0.5 / reach**2), -40.0))
+        return (small_product(self._rows, weight) / weight.sum()).astype(np.float32)
 
     def _members(self, centres: Real) -> tuple[Real, Real]:
         """What is greatest for the nearest centre, and 1 where that is this one, shape [K, M]."""

@@ -91,3 +91,23 @@ def test_width_of_a_focus_grows_with_height():
     near, far = (touch_report.focus_width(array, height) for height in (0.1, 0.3))
     assert 0.35 < near / array.wavelength < 0.55
     assert 0.85 < far / array.wavelength < 1.15
+
+
+def test_pictures_and_tables_are_written(tmp_path: Path):
+    """Write drives' table and picture, and materials' picture, from few sets and made-up clays."""
+    lines = touch_report._drives(tmp_path, 3)
+    assert sum(line.startswith(("| exact", "| 32 phases", "| autd3")) for line in lines) == 3
+    clays = [
+        touch.MaterialTouch("soft", 1e3, 3.0, 6e3, 270.0),
+        touch.MaterialTouch("stiff", 25e3, 90.0, 200e3, 1000.0),
+    ]
+    touch_pictures.draw_materials(clays, tmp_path / "touch_materials.png")
+    for name in ("touch_drives.png", "touch_materials.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+def test_modulations_are_drawn(hand: touch.Hand, tmp_path: Path):
+    """Draw foci and routes over the hand."""
+    results = touch.compare_modulations(hand, samples=2)
+    touch_pictures.draw_modulations(results, hand, tmp_path / "modulations.png")
+    assert (tmp_path / "modulations.png").stat().st_size > 50_000
