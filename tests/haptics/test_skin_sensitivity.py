@@ -9,8 +9,7 @@ import pytest
 
 from tactile_clay.haptics.finger_pads import find_finger_pads
 from tactile_clay.haptics.skin_sensitivity import ReceptorDensity, SkinSensitivity, _on_surface
-from tactile_clay.solver.hand_mesh import hand_shape
-from tactile_clay.tests.haptics.hands import bare_rig
+from tactile_clay.tests.haptics.hands import bare_rig, hand_shape
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
