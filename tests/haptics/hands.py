@@ -9,6 +9,8 @@ import numpy as np
 from tactile_clay.solver.hand_mesh import HandPose, hand_mesh, hand_shape
 from tactile_clay.solver.hand_rig import HandRig
 
+__all__ = ["bare_rig", "hand_shape", "vertex_normals_and_areas"]
+
 PARENTS = {"palm": "wrist", "wrist": ""}
 
 
