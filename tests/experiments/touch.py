@@ -91,12 +91,22 @@ def array_below(name: str = "stratos_explore", height: float = 0.2) -> Transduce
 
 @dataclass(frozen=True)
 class Hand:
-    """The generated hand and its perceptual weights."""
+    """A hand and its perceptual weights."""
 
     rig: HandRig
-    """Its ghosts are the vertices of its skin."""
+    """The hand as it was bound, palm down."""
     skin: SkinSensitivity
     """Perceptual weights."""
+
+    def on_vertices(self, ghosts: NDArray[np.intp], values: Array) -> Array:
+        """Values of some ghosts, 0 of the others, at the vertex next to each, shape [V]."""
+        told = np.zeros(len(self.skin.ghosts))
+        told[ghosts] = values
+        places = self.rig.carried_ghosts(self.rig.nodes)
+        size = 0.5 * np.square(places).sum(1)
+        parts = np.array_split(self.rig.vertices, max(1, len(places) // 500))
+        nearest = [(part @ places.T - size).argmax(1) for part in parts]
+        return told[np.concatenate(nearest)]
 
 
 def generated_hand(pose: str = "flat", *, edge_length: float = 0.004) -> Hand:

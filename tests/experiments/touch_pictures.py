@@ -62,13 +62,6 @@ def _panel(
     axes.set_title(title, fontsize=9, color=INK)
 
 
-def _spread(hand: Hand, ghosts: NDArray[np.intp], values: Array) -> Array:
-    """Values of some ghosts as values of all vertices."""
-    result = np.zeros(len(hand.rig.vertices))
-    result[ghosts] = values
-    return result
-
-
 def _dots(axes: Axes, places: Array, pressures: Array, top: float) -> None:
     if len(places):
         axes.scatter(
@@ -100,7 +93,7 @@ def draw_weights(result: WeightsComparison, path: Path) -> None:
     top = float(max(weighted.foci.pressures.max(), weighted.field.pressures.max()))
 
     def pressure(axes: Axes, touch: Touch, values: Array, title: str) -> None:
-        shown = _spread(hand, touch.field.ghosts, values)
+        shown = hand.on_vertices(touch.field.ghosts, values)
         _panel(axes, hand, shown, title, colors=HEAT, top=top)
 
     pressure(panels[0], weighted, weighted.field.pressures, "target pressure p*")
@@ -143,7 +136,7 @@ def draw_modulations(results: Sequence[ModulationComparison], hand: Hand, path: 
                 f"error of shape {r.spatiotemporal.shape_error:.0%}",
             ),
         ):
-            shown = _spread(hand, field.ghosts, values)
+            shown = hand.on_vertices(field.ghosts, values)
             _panel(axes, hand, shown, title, colors=HEAT, top=top)
         _dots(panels[1], r.foci.positions, r.foci.pressures, top)
         way = np.vstack((r.route.positions, r.route.positions[:1]))

@@ -16,6 +16,7 @@ from tactile_clay.haptics import TransducerArray, acoustic_field, solve_drive
 
 from . import touch_pictures
 from .drive_statistics import DriveStatistics, judge_methods, judge_presets, judge_steps
+from .report.companions import companion
 from .touch import (
     Hand,
     Misfit,
@@ -49,6 +50,9 @@ def run_touch(folder: Path, *, sets: int = 1000) -> list[str]:
     ]
     lines += _weights(hand, folder)
     lines += _materials(folder)
+    pressed = companion("touch_hand")
+    if pressed:
+        lines += pressed.press_lines(folder)
     lines += _rules(hand)
     lines += _modulations(hand, folder)
     lines += _focus_widths()
