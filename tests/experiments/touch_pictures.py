@@ -14,7 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure as Picture
 from numpy.typing import NDArray
 
-from tactile_clay.haptics import reconstruct
+from tactile_clay.haptics import Foci, reconstruct
 
 from .drive_statistics import DriveStatistics
 from .touch import Hand, MaterialTouch, ModulationComparison, Touch, WeightsComparison
@@ -30,13 +30,13 @@ GREENS = LinearSegmentedColormap.from_list("greens", ["#ede6de", "#9cc3a5", "#2f
 Array = NDArray[np.float64]
 
 
-def _panel(
+def draw_palm(
     axes: Axes,
     hand: Hand,
     values: Array,
     title: str,
     *,
-    colors: LinearSegmentedColormap,
+    colors: LinearSegmentedColormap = HEAT,
     top: float,
 ) -> None:
     """Draw the palm's side of a hand, one value a vertex."""
@@ -62,21 +62,27 @@ def _panel(
     axes.set_title(title, fontsize=9, color=INK)
 
 
-def _dots(axes: Axes, places: Array, pressures: Array, top: float) -> None:
-    if len(places):
-        axes.scatter(
-            -1e3 * places[:, 0],
-            1e3 * places[:, 1],
-            s=14 + 50 * pressures / top,
-            facecolors="none",
-            edgecolors=INK,
-            linewidths=1.0,
-        )
+def draw_foci(axes: Axes, foci: Foci, top: float) -> None:
+    """Draw foci as rings, larger for more pressure."""
+    axes.scatter(
+        -1e3 * foci.positions[:, 0],
+        1e3 * foci.positions[:, 1],
+        s=14 + 50 * foci.pressures / top,
+        facecolors="none",
+        edgecolors=INK,
+        linewidths=1.0,
+    )
 
 
-def _bar(
-    picture: Picture, axes: Sequence[Axes], colors: LinearSegmentedColormap, top: float, text: str
+def draw_scale(
+    picture: Picture,
+    axes: Sequence[Axes],
+    top: float,
+    text: str,
+    *,
+    colors: LinearSegmentedColormap = HEAT,
 ) -> None:
+    """Draw what the colours mean, beside panels."""
     bar = picture.colorbar(
         ScalarMappable(Normalize(0.0, top), colors), ax=list(axes), shrink=0.6, pad=0.01, aspect=24
     )
@@ -94,19 +100,19 @@ def draw_weights(result: WeightsComparison, path: Path) -> None:
 
     def pressure(axes: Axes, touch: Touch, values: Array, title: str) -> None:
         shown = hand.on_vertices(touch.field.ghosts, values)
-        _panel(axes, hand, shown, title, colors=HEAT, top=top)
+        draw_palm(axes, hand, shown, title, top=top)
 
     pressure(panels[0], weighted, weighted.field.pressures, "target pressure p*")
-    _panel(panels[1], hand, hand.skin.vertices, "perceptual weight α", colors=GREENS, top=1.0)
+    draw_palm(panels[1], hand, hand.skin.vertices, "perceptual weight α", colors=GREENS, top=1.0)
     for axes, touch, title in ((panels[2], even, "without"), (panels[3], weighted, "with")):
         served = result.on_pads(touch)
         pressure(
             axes, touch, touch.rendered,
             f"rendered {title} weights\nerror on pads {served.error:.0%}",
         )  # fmt: skip
-        _dots(axes, touch.foci.positions, touch.foci.pressures, top)
-    _bar(picture, panels[1:2], GREENS, 1.0, "α")
-    _bar(picture, panels[3:], HEAT, top, "Pa")
+        draw_foci(axes, touch.foci, top)
+    draw_scale(picture, panels[1:2], 1.0, "α", colors=GREENS)
+    draw_scale(picture, panels[3:], top, "Pa")
     picture.savefig(path)
 
 
@@ -137,11 +143,11 @@ def draw_modulations(results: Sequence[ModulationComparison], hand: Hand, path: 
             ),
         ):
             shown = hand.on_vertices(field.ghosts, values)
-            _panel(axes, hand, shown, title, colors=HEAT, top=top)
-        _dots(panels[1], r.foci.positions, r.foci.pressures, top)
+            draw_palm(axes, hand, shown, title, top=top)
+        draw_foci(panels[1], r.foci, top)
         way = np.vstack((r.route.positions, r.route.positions[:1]))
         panels[2].plot(-1e3 * way[:, 0], 1e3 * way[:, 1], color=INK, linewidth=0.7, alpha=0.7)
-        _bar(picture, list(panels[2:]), HEAT, top, "Pa, at the best gain")
+        draw_scale(picture, list(panels[2:]), top, "Pa, at the best gain")
     picture.savefig(path)
 
 
