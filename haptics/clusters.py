@@ -76,7 +76,7 @@ class Clusters:
     def snapped(self, centres: Real, reach: float) -> Real:
         """The skin beside each centre [m], shape [K, 3].
 
-        It is the mean of the cluster's points about the one nearest to the centre, which moves
+        It is the mean mass of the cluster about the point nearest to the centre, which moves
         smoothly with the centre. Where that lies off the skin, as between two fingers, it is the
         middle of the pressed skin next to the nearest point.
 
@@ -89,8 +89,8 @@ class Clusters:
         least = self._square[closest] - 2.0 * score[np.arange(len(score)), closest]
         beyond = self._square - 2.0 * score.max(0) - small_product(members.T, least)
         # Nothing is smaller than e^-40: processors are slow with such numbers.
-        members *= np.exp(np.maximum(beyond * (-0.5 / reach**2), -40.0))
-        members[np.arange(len(members)), closest] = 1.0
+        members *= np.exp(np.maximum(beyond * (-0.5 / reach**2), -40.0)) * self._mass
+        members[np.arange(len(members)), closest] += 1e-6 * self._mass.max()
         mean = members @ self._rows.T / members.sum(1)[:, None]
         off = (self._square - 2.0 * (mean @ self._rows)).min(1) + np.square(mean).sum(1)
         for index in np.flatnonzero(off > (_OFF_SKIN * reach) ** 2):
