@@ -106,19 +106,25 @@ def focus(
     if count == 0 or len(touched) == 0:
         nobody = np.full(len(target), -1, np.intp)
         return Foci(np.zeros((0, 3)), np.zeros(0), nobody, sigma)
-    seen = points if len(touched) == len(points) else points[touched]
-    clusters = Clusters(seen, mass if len(touched) == len(points) else mass[touched], sigma)
-    start = None if previous is None or previous.count == 0 else previous.positions[:count]
+    origin = points[touched[0]]
+    rows = _rows(points, origin)
+    all_touched = len(touched) == len(points)
+    clusters = Clusters(
+        rows if all_touched else rows[:, touched], mass if all_touched else mass[touched], sigma
+    )
+    start = None
+    if previous is not None and previous.count > 0:
+        start = previous.positions[:count] - origin
     centres = clusters.find(count, start)
     places = clusters.snapped(centres, _SNAP * sigma)
-    assignment, square = _nearest(points, places)
+    assignment, square = _nearest(rows, places)
     fall = np.exp(square * (-0.5 / sigma**2))
     above = np.bincount(assignment, target * fall, len(places))
     below = np.bincount(assignment, fall if rule == "printed" else fall * fall, len(places))
     found = above / np.maximum(below, 1e-300)
     if ceiling is not None:
         found = np.minimum(found, ceiling)
-    return Foci(places, found, assignment, sigma)
+    return Foci(places + origin, found, assignment, sigma)
 
 
 def reconstruct(foci: Foci, positions: ArrayLike) -> Real:
@@ -131,15 +137,19 @@ def reconstruct(foci: Foci, positions: ArrayLike) -> Real:
     points = np.asarray(positions, np.float64).reshape(-1, 3)
     if foci.count == 0:
         return np.zeros(len(points))
-    assignment, square = _nearest(points, foci.positions)
+    origin = foci.positions[0]
+    assignment, square = _nearest(_rows(points, origin), foci.positions - origin)
     return np.asarray(foci.pressures[assignment] * np.exp(square * (-0.5 / foci.sigma**2)))
 
 
-def _nearest(points: Real, places: Real) -> tuple[NDArray[np.intp], Real]:
+def _rows(points: Real, origin: Real) -> NDArray[np.float32]:
+    """Coordinates relative to a point nearby [m], shape [3, P]."""
+    return np.ascontiguousarray((points - origin).T, np.float32)
+
+
+def _nearest(rows: NDArray[np.float32], places: Real) -> tuple[NDArray[np.intp], Real]:
     """Nearest place of each point and the square of its distance [m²], both of shape [P]."""
-    middle = places.mean(0)
-    rows = np.ascontiguousarray((points - middle).T, np.float32)
-    local = (places - middle).astype(np.float32)
+    local = places.astype(np.float32)
     half = local @ rows
     half -= 0.5 * np.square(local).sum(1)[:, None]
     square = np.einsum("im,im->m", rows, rows) - 2.0 * half.max(0)
