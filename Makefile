@@ -3,6 +3,7 @@
 # make test        run all tests                       (TESTS=tests/solver runs some)
 # make bench       measure speed into build/bench
 # make bench-peers measure other engines beside it, in environments of their own in build/peers
+# make acoustic-peers  try fields and drives against levitate and autd3, in environments likewise
 # make report      run the physics experiments into build/report
 # make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
 # make lint        check style and types
@@ -24,7 +25,7 @@ python = $(VENV)/bin/python
 # A file's tests stay together, so that what they share is made once.
 workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test bench bench-peers report extension lint format environment clean
+.PHONY: demo test bench bench-peers acoustic-peers report extension lint format environment clean
 .DEFAULT_GOAL = demo
 
 environment:
@@ -41,6 +42,10 @@ bench: environment
 
 bench-peers: environment
 	@$(python) -m tactile_clay.tests.bench.peers --output build/bench
+
+acoustic-peers: environment
+	@$(python) -m tactile_clay.tests.haptics.peers.environments
+	@$(python) -m pytest -s tests/haptics/peers
 
 report: environment
 	@$(python) -m tactile_clay.tests.experiments.report --output build/report

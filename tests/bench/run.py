@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times whole frames of clay in contact with a moving tool, and writes build/bench/bench.json.
+"""Times whole frames of clay in contact with a moving tool, and of touch, into bench.json.
 
 Times are medians over frames in one process, after warming up; compare them by their ratio where
 other work shares the machine. Processor time counts all threads.
@@ -22,6 +22,7 @@ import warp as wp
 
 from tactile_clay.solver import Settings
 
+from . import touch
 from .cases import FRAME, Case, chosen
 
 
@@ -85,8 +86,10 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
     wp.config.quiet = True
+    touches = [case for case in touch.CASES if not options.cases or case.name in options.cases]
+    others = [name for name in options.cases if name not in {case.name for case in touches}]
     try:
-        cases = chosen(options.cases, everything=options.all)
+        cases = chosen(others, everything=options.all) if others or not options.cases else []
     except ValueError as error:
         parser.error(str(error))
     results = []
@@ -97,11 +100,16 @@ def main() -> None:
             continue
         results.append(measure(case, Settings(), options.device))
         print(sentence(results[-1]), flush=True)
+    touched = []
+    for part in touches:
+        touched.append(touch.measure(part))
+        print(touch.sentence(touched[-1]), flush=True)
     options.output.mkdir(parents=True, exist_ok=True)
     data = {
         "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), "warp": wp.__version__},
         "cases": results,
+        "touch": touched,
     }
     path = options.output / "bench.json"
     path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.solver import Settings
-from tactile_clay.tests.bench import cases, peers, run
+from tactile_clay.tests.bench import cases, peers, run, touch
 from tactile_clay.tests.bench.peer_scene import DEPTH, MATERIAL, RADIUS, make_scene, measure
 
 
@@ -25,6 +25,17 @@ def test_a_case_is_timed_and_judged():
     assert figures["error"]["measured"] > 1.0
     assert json.loads(json.dumps(figures))["error"]["figure"].startswith("force")
     assert "216 particles" in run.sentence(figures)
+
+
+@pytest.mark.parametrize("case", touch.CASES, ids=lambda case: case.name)
+def test_a_part_of_touch_is_timed_and_judged(case: touch.TouchCase):
+    """Time a few frames of each part, beside an error that is small where it works."""
+    figures = touch.measure(case, frames=touch.FRAMES if "drive" in case.name else 4)
+    assert 0.0 < figures["ms_median"] <= figures["ms_p90"]
+    assert figures["core_ms"] > 0.0
+    assert figures["error"]["error"] < 0.15
+    assert json.loads(json.dumps(figures))["error"]["figure"]
+    assert case.name in touch.sentence(figures)
 
 
 def test_error_is_relative_to_the_middle_of_the_band():

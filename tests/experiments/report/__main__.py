@@ -18,7 +18,7 @@ import warp as wp
 from tactile_clay.solver import Material, Settings
 
 from . import plots
-from .companions import HardCaseResult, hard_cases, run_ablation, run_hard_case
+from .companions import HardCaseResult, hard_cases, run_ablation, run_hard_case, run_touch
 from .page import Report, write_data, write_page
 from .point import Outcome, Point, run_point, run_points, warm_up, workers
 from .registry import EXPERIMENTS
@@ -113,6 +113,8 @@ def main() -> None:
         measure_rest(report, pool, quick=options.quick)
     if not options.quick:
         report.ablation = run_ablation(options.output)
+        say("Running touch ...")
+        report.touch = run_touch(options.output)
     report.seconds = time.perf_counter() - begin
     draw(report, options.output)
     write_page(report, options.output)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: the hard cases and the ablation.
+"""Parts of the report that modules of their own bring: the hard cases, the ablation and touch.
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -88,3 +88,13 @@ def run_ablation(folder: Path) -> list[str]:
         ]
         lines.append("")
     return lines
+
+
+def run_touch(folder: Path) -> list[str]:
+    """Render touch and judge drives, and draw what came out.
+
+    Returns:
+        Lines of Markdown, none where there is no such module.
+    """
+    touch = companion("touch_report")
+    return list(touch.run_touch(folder)) if touch else []

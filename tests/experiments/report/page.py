@@ -52,6 +52,8 @@ class Report:
     """What happened in hard cases."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
+    touch: list[str] = field(default_factory=list)
+    """Lines of touch's part."""
     seconds: float = 0.0
     """What the report took [s]."""
 
@@ -91,6 +93,8 @@ def write_page(report: Report, folder: Path) -> None:
         ]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
+    if report.touch:
+        lines += ["## Touch", "", *report.touch]
     if report.hard_cases:
         lines += ["## Hard cases", "", *_hard_case_table(report.hard_cases)]
     lines += [f"Made in {report.seconds / 60.0:.1f} minutes."]

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The report's part on touch: how well what is wanted is rendered, in tables and pictures.
+
+``python -m tactile_clay.tests.experiments.touch_report FOLDER`` writes it alone, as touch.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tactile_clay.haptics import TransducerArray, acoustic_field, solve_drive
+
+from . import touch_pictures
+from .drive_statistics import DriveStatistics, judge_methods, judge_presets, judge_steps
+from .report.companions import companion
+from .touch import (
+    Hand,
+    Misfit,
+    compare_modulations,
+    compare_rules,
+    compare_weights,
+    generated_hand,
+    press_materials,
+)
+
+MATERIALS = ("wet_clay", "soft_play_dough", "plasticine", "throwing_clay", "stiff_clay")
+
+
+def run_touch(folder: Path, *, sets: int = 1000) -> list[str]:
+    """Run all of it and draw the pictures.
+
+    Args:
+        folder: Where pictures go.
+        sets: Random sets of foci that drives are judged on.
+
+    Returns:
+        Lines of Markdown.
+    """
+    hand = generated_hand()
+    lines = [
+        "A hand sunk into clay, pressed evenly from below with 15 kPa, above an array at 20 cm. "
+        "Errors are root mean squares over the skin that faces the array, over that of the "
+        "pressure wanted; *of shape* is what is left at the best common gain; *coverage* is the "
+        "part of the touched skin that then gets at least half its pressure.",
+        "",
+    ]
+    lines += _weights(hand, folder)
+    lines += _materials(folder)
+    pressed = companion("touch_hand")
+    if pressed:
+        lines += pressed.press_lines(folder)
+    lines += _rules(hand)
+    lines += _modulations(hand, folder)
+    lines += _focus_widths()
+    return lines + _drives(folder, sets)
+
+
+def _weights(hand: Hand, folder: Path) -> list[str]:
+    result = compare_weights(hand)
+    touch_pictures.draw_weights(result, folder / "touch_weights.png")
+    rows = [
+        (where, part(result.even), part(result.weighted))
+        for where, part in (("finger pads", result.on_pads), ("elsewhere", result.elsewhere))
+    ]
+    return [
+        "### Perceptual weights (the paper's figure 4)",
+        "",
+        "![With and without weights](touch_weights.png)",
+        "",
+        "| skin | error without weights | with weights | coverage without | with |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {where} | {even.error:.1%} | {weighted.error:.1%} | {even.coverage:.0%} "
+            f"| {weighted.coverage:.0%} |"
+            for where, even, weighted in rows
+        ),
+        "",
+    ]
+
+
+def _materials(folder: Path) -> list[str]:
+    results = press_materials(MATERIALS)
+    touch_pictures.draw_materials(results, folder / "touch_materials.png")
+    return [
+        "### More plastic clay presses less (figure 6)",
+        "",
+        "A ball of 12 mm is pressed 12 mm into a block at 0.1 m/s; the force is the solver's, "
+        "spread evenly over the ball's contact.",
+        "",
+        "![Pressures against yield stress](touch_materials.png)",
+        "",
+        "| clay | yield stress | force | pressure of the clay | strongest focus |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {r.name.replace('_', ' ')} | {1e-3 * r.yield_stress:g} kPa | {r.force:.1f} N "
+            f"| {1e-3 * r.contact_pressure:.1f} kPa | {r.focal_pressure:.0f} Pa |"
+            for r in results
+        ),
+        "",
+    ]
+
+
+def _rules(hand: Hand) -> list[str]:
+    return [
+        "### Equation 9: as printed, and its minimiser",
+        "",
+        "| contact | foci | error, minimiser | error, as printed | printed is too small by |",
+        "|---|---|---|---|---|",
+        *(
+            f"| {r.contact} | {r.focus_count} | {r.true.error:.1%} | {r.printed.error:.1%} "
+            f"| {r.gain:.2f} |"
+            for r in compare_rules(hand)
+        ),
+        "",
+    ]
+
+
+def _modulations(hand: Hand, folder: Path) -> list[str]:
+    results = compare_modulations(hand)
+    touch_pictures.draw_modulations(results, hand, folder / "touch_modulations.png")
+
+    def cells(misfit: Misfit) -> str:
+        return f"{misfit.shape_error:.1%} | {misfit.coverage:.0%} | {1 / misfit.gain:.2f}"
+
+    lines = [
+        "### Amplitude and spatiotemporal modulation",
+        "",
+        "![Amplitude and spatiotemporal modulation](touch_modulations.png)",
+        "",
+        "*Strength* is what is rendered over what is wanted: a moving focus is in each place for "
+        "a part of the time only. *Gaussian* takes foci for what the paper takes them for; *sound* "
+        "is the simulated pressure of the whole array, what comes between foci included.",
+        "",
+        "| contact | modulation | foci | a place is passed | Gaussian: error of shape | coverage "
+        "| strength | sound: error of shape | coverage | strength |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for r in results:
+        area = f"{r.contact}, {1e4 * r.touched_area:.0f} cm²"
+        lines.append(
+            f"| {area} | amplitude | {r.foci.count} | always | {cells(r.amplitude)} "
+            f"| {cells(r.amplitude_sound)} |"
+        )
+        lines.append(
+            f"| | spatiotemporal | {r.route.focus_count} | {r.route.repeat_rate:.0f} /s "
+            f"| {cells(r.spatiotemporal)} | {cells(r.spatiotemporal_sound)} |"
+        )
+    return [*lines, ""]
+
+
+def _focus_widths() -> list[str]:
+    """How wide a focus really is, beside the wavelength that the paper takes."""
+    heights = (0.10, 0.15, 0.20, 0.30)
+    lines = [
+        "### How wide a focus is",
+        "",
+        "Standard deviation of the Gaussian that falls to e^-½ where the simulated focus does, "
+        "over the wavelength, which is what equation 9 takes; by height above the array.",
+        "",
+        f"| array | {' | '.join(f'{100 * height:.0f} cm' for height in heights)} |",
+        "|---" * (len(heights) + 1) + "|",
+    ]
+    for name in TransducerArray.preset_names():
+        array = TransducerArray.preset(name)
+        widths = [focus_width(array, height) / array.wavelength for height in heights]
+        lines.append(f"| {name} | {' | '.join(f'{width:.2f}' for width in widths)} |")
+    return [*lines, ""]
+
+
+def focus_width(array: TransducerArray, height: float) -> float:
+    """Distance from a focus on the axis at which its pressure falls to e^-½ [m]."""
+    middle = (0.0, 0.0, height)
+    drive = solve_drive(array, [middle], [1e9])
+    away = np.linspace(0.0, 0.04, 801)
+    points = np.stack([away, 0.0 * away, 0.0 * away + height], axis=1)
+    pressure = np.abs(acoustic_field(array, drive, points))
+    return float(away[np.argmax(pressure < np.exp(-0.5) * pressure[0])])
+
+
+def _drives(folder: Path, sets: int) -> list[str]:
+    methods, steps, presets = judge_methods(sets), judge_steps(sets), judge_presets(sets)
+    touch_pictures.draw_drives([*methods, *steps], folder / "touch_drives.png")
+    return [
+        "### Drives",
+        "",
+        f"{sets:,} random sets of 1 to 32 foci in 12 × 12 × 10 cm above 16 × 16 transducers, of "
+        "unequal pressures. *Spread* is the standard deviation of achieved over wanted, each set "
+        "at its own mean; *uniformity* 1 − (max − min)/(max + min) of a set; *weakest* what 99 in "
+        "100 foci get at least. Time is one core's.",
+        "",
+        "![Achieved over wanted pressure](touch_drives.png)",
+        "",
+        *_drive_table("method", [(r.method, r) for r in methods]),
+        "What the steps of a driver board lose, with the default method:",
+        "",
+        *_drive_table("driver", [(r.array, r) for r in steps]),
+        "Presets, 1 to 8 foci of .3 to 1 times .3/√K of what the array gives one focus at 20 cm:",
+        "",
+        *_drive_table("array", [(r.array, r) for r in presets]),
+    ]
+
+
+def _drive_table(title: str, rows: Sequence[tuple[str, DriveStatistics]]) -> list[str]:
+    return [
+        f"| {title} | mean | spread | uniformity | weakest | ms |",
+        "|---|---|---|---|---|---|",
+        *(
+            f"| {name} | {r.mean:.3f} | {r.deviation:.4f} | {r.uniformity:.3f} | {r.weakest:.2f} "
+            f"| {r.milliseconds:.2f} |"
+            for name, r in rows
+        ),
+        "",
+    ]
+
+
+if __name__ == "__main__":
+    output = Path(sys.argv[1] if len(sys.argv) > 1 else "build/report")
+    output.mkdir(parents=True, exist_ok=True)
+    text = "\n".join(["# What touch was measured to do", "", *run_touch(output)])
+    (output / "touch.md").write_text(text + "\n", encoding="utf-8")
