@@ -66,7 +66,7 @@ class Pairs:
         rows.resting = particles.resting
         self.rows = rows
         self.generation = 0
-        self._slots = 0
+        self._slots = self._used = 0
         rows.other = wp.zeros(0, dtype=int, device=device)
         rows.rest_length = wp.zeros(0, dtype=float, device=device)
         self.lay_out(np.zeros(count, np.int32))
