@@ -96,6 +96,43 @@ def match_rows(woken: wp.array[int], pairs: PairRows) -> None:
             pairs.rest_length[slot] = rest
 
 
+@wp.kernel(enable_backward=False)
+def mark_one_sided(awake: Awake, needed: wp.array[int], pairs: PairRows) -> None:
+    """Mark pairs that the other end had no room for, by the complement of its index."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.listed[i]):
+        j = pairs.other[slot]
+        if pairs.resting[j] == 0 and needed[j] > pairs.room[j]:
+            mutual = bool(False)
+            for theirs in range(pairs.first[j], pairs.first[j] + pairs.listed[j]):
+                if pairs.other[theirs] == i:
+                    mutual = True
+            if not mutual:
+                pairs.other[slot] = -1 - j
+
+
+@wp.kernel(enable_backward=False)
+def drop_marked(awake: Awake, pairs: PairRows) -> None:
+    """Take marked pairs out of the rows: one that acted at one end only would push for nothing."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    first = pairs.first[i]
+    kept = first
+    acting = int(0)
+    for slot in range(first, first + pairs.listed[i]):
+        if pairs.other[slot] >= 0:
+            pairs.other[kept] = pairs.other[slot]
+            pairs.rest_length[kept] = pairs.rest_length[slot]
+            if slot < first + pairs.acting[i]:
+                acting += 1
+            kept += 1
+    pairs.listed[i] = kept - first
+    pairs.acting[i] = acting
+
+
 class Neighbors:
     """Fills rows, and tells when they must be filled again.
 
@@ -141,6 +178,9 @@ class Neighbors:
             if (needed[short] < MOST_SLOTS).any() or self.rebuild_count == 0:
                 self.pairs.make_room(np.flatnonzero(short), needed)
                 self._fill()
+            if (needed[short] > MOST_SLOTS).any():
+                self.particles.launch(mark_one_sided, self.needed, self.pairs.rows)
+                self.particles.launch(drop_marked, self.pairs.rows)
         wp.copy(self.listed_position, position)
         self.largest.zero_()
         self.rebuild_count += 1

@@ -21,25 +21,8 @@ from tactile_clay.tests.experiments.survival import (
     survive,
 )
 
-MISSED = {
-    "slots run over": "pairs listed at one end only push the debris along: up to 3.9 m/s by seed",
-    "very stiff": "four iterations leave G = 10 MPa unsolved: thrown at 6 times (30: fine)",
-}
-"""Cases that fail at the live setting, and how."""
 SHORTER = {"idling": lambda: hard_cases.idle(600)}
 """Cases that are run shorter here than for the report."""
-
-
-def table() -> list[object]:
-    """All cases of the table, those that are missed marked."""
-    return [
-        pytest.param(
-            name,
-            id=name,
-            marks=[pytest.mark.xfail(strict=False, reason=MISSED[name])] if name in MISSED else [],
-        )
-        for name, _ in CASES
-    ]
 
 
 @functools.cache
@@ -48,7 +31,7 @@ def outcome(name: str) -> HardCase:
     return SHORTER.get(name, dict(CASES)[name])()
 
 
-@pytest.mark.parametrize("name", table())
+@pytest.mark.parametrize("name", [name for name, _ in CASES])
 def test_hard_case_is_survived(name: str):
     """Stay finite, throw nothing faster than twice what went in, and come to rest."""
     result = outcome(name)
