@@ -21,6 +21,8 @@ from .contact_law import (
     settle_all_contacts,
     wake_contacts,
 )
+from .cutting import cut_bonds, cut_bonds_of_block
+from .pair_rows import PairRows
 from .particles import ByPart, Particles
 from .scene import MeshCollider, Plane, Scene
 
@@ -156,6 +158,12 @@ class Contacts:
             self.particles.velocity,
             self.slots,
         )
+
+    def cut(self, pairs: PairRows) -> None:
+        """Break bonds across meshes thinner than they are long; `find` comes first."""
+        if self.meshes:
+            kernels = (cut_bonds, cut_bonds_of_block)
+            self._launch(kernels, self._plane_count, self.particles.position, self.slots, pairs)
 
     def press(
         self,

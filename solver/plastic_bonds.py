@@ -188,6 +188,7 @@ class PlasticBonds:
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
+        self.contacts.cut(self.pairs.rows)
         if turns:
             self.spin.turn()
         self.pairs.gather(self.clay, self.bodies)
