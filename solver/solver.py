@@ -61,9 +61,10 @@ class Solver:
     bounces with a third of the speed it should at the live setting. Clay kneaded a hundred times
     loses some 5 % of the volume inside its surface. Bonds act between neighbours only, so Poisson's
     ratio is that of a central-force network and the pressure keeps the volume. Contact is a stiff
-    penalty: under a fingertip particles enter a collider by a twentieth of the spacing. Colliders push clay but do
-    not yield to it. What lies between awake clay and a collider and sleeps does not pass on the
-    force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU has run it.
+    penalty: under a fingertip particles enter a collider by a twentieth of the spacing. Colliders
+    push clay but do not yield to it. What lies between awake clay and a collider and sleeps does
+    not pass on the force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU
+    has run it.
 
     Args:
         scene: What is in it; clay and colliders added later are not seen.
