@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The inside of a hand in tetrahedra, of which no two fingers share any.
+
+A lattice with cells wider than the gap between fingers has tetrahedra that reach into two of them.
+Each such tetrahedron is there once for every finger in it, with corners of its own, as in Teran et
+al., "Creating and simulating skeletal muscle from the visible human data set", 2005,
+10.1109/TVCG.2005.42 (virtual nodes). Copies have corners in common only where the palm joins them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .hand_parts import PALM, HandParts, skin_pieces
+from .lattice_tetrahedra import Tetrahedra, lattice_tetrahedra, tetrahedron_qualities
+from .skin_query import SkinQuery
+
+LEAST_FILL = 0.2
+"""Tetrahedra with less flesh than this share of their volume are left out."""
+LEAST_QUALITY = 0.4
+"""Mean ratio that laying the lattice's outside onto the skin leaves every tetrahedron, at least."""
+REACH = 2.0
+"""Palm belongs to the root of a finger up to this far along the skin, in cells."""
+
+_CIRCUMRADIUS = np.sqrt(5.0) / 4.0
+_SAMPLES = np.array(
+    [(i, j, k, 3 - i - j - k) for i in range(4) for j in range(4 - i) for k in range(4 - i - j)]
+)
+_SAMPLES = (_SAMPLES + 0.25) / 4.0
+_SNAPS = 8
+
+
+@dataclass(frozen=True)
+class Flesh:
+    """Tetrahedra inside a hand."""
+
+    tetrahedra: Tetrahedra
+    """Each part's own, joined where the palm joins them."""
+    part: NDArray[np.int32]
+    """Part of the hand that each tetrahedron belongs to, shape [T]."""
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What is in each tetrahedron of the lattice."""
+
+    share: NDArray[np.float64]
+    """Share of its volume that each part fills, shape [T, 1 + F]."""
+    at_root: NDArray[np.bool_]
+    """Whether the palm in it is where a finger has its root, shape [T, F]."""
+
+
+def hand_flesh(
+    skin: SkinQuery,
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    parts: HandParts,
+    cell: float,
+) -> Flesh:
+    """Fill a hand with tetrahedra.
+
+    Args:
+        skin: The skin.
+        vertices: Its vertices [m], shape [V, 3].
+        faces: Its triangles, shape [F, 3].
+        parts: How it is divided.
+        cell: Edge of the lattice's cubic cells [m].
+    """
+    lattice = _lattice_around(skin, vertices, cell)
+    content, lattice = _content(skin, lattice, parts, cell)
+    tetrahedron, part, fill = _copies(content)
+    key = _corner_keys(skin, lattice, parts, content, tetrahedron, part, cell)
+    corners_of = np.unique(key, return_inverse=True)[1].reshape(key.shape)
+    least = LEAST_FILL
+    while True:
+        kept = fill >= least
+        if _in_one_piece(corners_of[kept]) and np.isin(part, part[kept]).all():
+            break
+        # A finger thinner than the lattice has only tetrahedra with little flesh.
+        least = 0.5 * least if least > 1e-3 else -1.0
+        if least < 0.0:
+            kept = np.ones(len(fill), bool)
+            break
+    used, corners = np.unique(key[kept], return_inverse=True)
+    points = lattice.points[used // (1 + parts.finger_count)]
+    flesh = Tetrahedra(points, corners.reshape(-1, 4).astype(np.int32))
+    owner = (used % (1 + parts.finger_count)).astype(np.int32)
+    points = _laid_on_skin(flesh, owner, vertices, faces, parts, cell)
+    return Flesh(Tetrahedra(points, flesh.corners), part[kept])
+
+
+def _lattice_around(skin: SkinQuery, vertices: NDArray[np.float64], cell: float) -> Tetrahedra:
+    """Tetrahedra of all lattice cells that the hand may reach into."""
+    low = vertices.min(0)
+    shape = np.maximum(np.ceil(np.ptp(vertices, axis=0) / cell).astype(int), 1)
+    low = low - 0.5 * (shape * cell - np.ptp(vertices, axis=0))
+    centers = low + cell * (np.indices(shape.tolist()).reshape(3, -1).T + 0.5)
+    near = skin.nearest(centers).depth > -0.5 * np.sqrt(3.0) * cell
+    return lattice_tetrahedra(low, near.reshape(shape), cell)
+
+
+def _content(
+    skin: SkinQuery, lattice: Tetrahedra, parts: HandParts, cell: float
+) -> tuple[_Content, Tetrahedra]:
+    """Look what is in each tetrahedron, and leave out those that hold nothing."""
+    center = skin.nearest(lattice.points[lattice.corners].mean(1))
+    touched = center.depth > -_CIRCUMRADIUS * cell
+    corners, depth, nearest = lattice.corners[touched], center.depth[touched], center.vertex[touched]
+    count, finger_count = len(corners), parts.finger_count
+    share = np.zeros((count, 1 + finger_count))
+    at_root = np.zeros((count, finger_count), bool)
+    full = depth > _CIRCUMRADIUS * cell
+    share[full, parts.part[nearest[full]]] = 1.0
+    at_root[full] = parts.beyond[nearest[full]] < REACH * cell
+    cut = np.flatnonzero(~full)
+    samples = np.einsum("sk,tkd->tsd", _SAMPLES, lattice.points[corners[cut]])
+    found = skin.nearest(samples.reshape(-1, 3))
+    inside = (found.depth > 0.0).reshape(len(cut), -1)
+    part = parts.part[found.vertex].reshape(len(cut), -1)
+    for number in range(1 + finger_count):
+        share[cut, number] = (inside & (part == number)).mean(1)
+    beyond = parts.beyond[found.vertex].reshape(len(cut), len(_SAMPLES), finger_count)
+    in_palm = inside & (part == PALM)
+    at_root[cut] = (in_palm[..., None] & (beyond < REACH * cell)).any(1)
+    at_root &= share[:, :1] > 0.0
+    some = share.any(1)
+    return _Content(share[some], at_root[some]), Tetrahedra(lattice.points, corners[some])
+
+
+def _copies(
+    content: _Content,
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """Tetrahedron, part and fill of every copy; the palm goes with the fingers that root in it."""
+    joined = (content.share[:, 1:] > 0.0) & content.at_root
+    fill = content.share.copy()
+    fill[:, 1:] += np.where(joined, content.share[:, :1], 0.0)
+    fill[joined.any(1), PALM] = 0.0
+    tetrahedron, part = np.nonzero(fill)
+    return tetrahedron, part.astype(np.int32), fill[tetrahedron, part]
+
+
+def _corner_keys(
+    skin: SkinQuery,
+    lattice: Tetrahedra,
+    parts: HandParts,
+    content: _Content,
+    tetrahedron: NDArray[np.int64],
+    part: NDArray[np.int32],
+    cell: float,
+) -> NDArray[np.int64]:
+    """Tell corners of copies apart: the same number is the same node, shape [copies, 4].
+
+    A finger has the palm's corners where the palm fills tetrahedra around them, or is nearest, and
+    the finger has its root there. All others are its own.
+    """
+    point_count, finger_count = len(lattice.points), parts.finger_count
+    in_palm = np.zeros(point_count, bool)
+    in_palm[lattice.corners[tetrahedron[part == PALM]]] = True
+    at_root = np.zeros((point_count, finger_count), bool)
+    for corner in lattice.corners.T:
+        np.logical_or.at(at_root, corner, content.at_root)
+    used = np.unique(lattice.corners)
+    nearest = skin.nearest(lattice.points[used]).vertex
+    in_palm[used] |= parts.part[nearest] == PALM
+    shared = np.column_stack([np.ones(point_count, bool), in_palm[:, None] & at_root])
+    corners = lattice.corners[tetrahedron].astype(np.int64)
+    owner = np.where(shared[corners, part[:, None]], PALM, part[:, None])
+    return corners * (1 + finger_count) + owner
+
+
+def _in_one_piece(corners: NDArray[np.integer]) -> bool:
+    """Whether tetrahedra all hang together."""
+    used, index = np.unique(corners, return_inverse=True)
+    ring = index.reshape(-1, 4)
+    edges = np.concatenate([ring[:, [i, (i + 1) % 4]] for i in range(4)])
+    piece = skin_pieces(len(used), np.concatenate([edges, edges[:, ::-1]]))
+    return len(used) > 0 and not piece.any()
+
+
+def _laid_on_skin(
+    flesh: Tetrahedra,
+    owner: NDArray[np.int32],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    parts: HandParts,
+    cell: float,
+) -> NDArray[np.float64]:
+    """Move corners outside of their part's skin onto it as far as tetrahedra stay well shaped.
+
+    So the tetrahedra have the hand's own volume and thickness, and none sticks out where a finger
+    bends.
+    """
+    way = np.zeros_like(flesh.points)
+    for number in range(1 + parts.finger_count):
+        # The palm's skin goes on beyond the roots, and a finger's into the palm: no edges there.
+        if number == PALM:
+            belongs = (parts.part == PALM) | (parts.beyond > -REACH * cell).any(1)
+        else:
+            belongs = (parts.part == number) | (
+                (parts.beyond[:, number - 1] < REACH * cell) & (parts.part == PALM)
+            )
+        own = np.flatnonzero(owner == number)
+        chosen = faces[belongs[faces].any(1)]
+        if not len(own) or not len(chosen):
+            continue
+        found = SkinQuery(vertices, chosen).nearest(flesh.points[own])
+        corner = vertices[chosen[found.face]]
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        offset = found.place - flesh.points[own]
+        outside = np.einsum("ij,ij->i", offset, normal) < 0.0
+        way[own] = np.where(outside[:, None], offset, 0.0)
+    share = np.ones(len(way))
+    for turn in range(_SNAPS + 2):
+        moved = flesh.points + share[:, None] * way
+        poor = tetrahedron_qualities(moved, flesh.corners) < LEAST_QUALITY
+        if not poor.any():
+            return moved
+        share[flesh.corners[poor].ravel()] *= 0.7 if turn < _SNAPS else 0.0
+    return flesh.points
