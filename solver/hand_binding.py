@@ -20,7 +20,7 @@ from .flesh_weights import flesh_weights
 from .ghosts import SurfaceGhosts, rasterize_ghosts
 from .hand_flesh import REACH, Flesh, hand_flesh
 from .hand_parts import PALM, HandParts, hand_parts, skin_edges, skin_pieces
-from .hand_rig import MOST_BONES, HandRig
+from .hand_rig import HandRig
 from .lattice_tetrahedra import barycentric_weights, carriers
 from .skin_query import SkinQuery
 from .skinned_hand import SkinnedHand
@@ -80,19 +80,15 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     carrier, share = _embedded(points, owner, parts, flesh, cell)
     ghost_weights = np.einsum("gk,gkb->gb", ghosts.weights, weights[faces[ghosts.face]])
     nodes = flesh.tetrahedra.points
-    fitted = flesh_weights(
-        flesh.tetrahedra.corners,
-        len(nodes),
+    node_bones, node_weights = flesh_weights(
+        flesh.tetrahedra,
         carrier,
         share,
+        points,
         np.concatenate([weights, ghost_weights]),
+        rest[:, :3, 3],
+        parent,
     )
-    strongest = np.argsort(-fitted, axis=1, kind="stable")[:, :MOST_BONES]
-    if strongest.shape[1] < MOST_BONES:
-        strongest = np.pad(strongest, ((0, 0), (0, MOST_BONES - strongest.shape[1])))
-        fitted = np.pad(fitted, ((0, 0), (0, 0)))
-    node_weights = np.take_along_axis(fitted, strongest, axis=1)
-    node_weights[:, fitted.shape[1] :] = 0.0
     split = len(vertices)
     return HandRig(
         side=hand.side,
@@ -103,7 +99,7 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
         bone_parent=parent,
         nodes=nodes,
         tetrahedra=flesh.tetrahedra.corners,
-        node_bones=strongest.astype(np.int32),
+        node_bones=node_bones,
         node_weights=node_weights,
         vertex_tetrahedron=carrier[:split],
         vertex_weights=share[:split],

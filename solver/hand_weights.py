@@ -22,6 +22,8 @@ _SHARPNESS = 8
 """Power of the nearness: how suddenly skin passes from one finger to the next."""
 _WRIST_NEARNESS = 3.0**-_SHARPNESS
 """Skin farther than three radii from every finger goes with the wrist."""
+_CARPUS = {"thumb": (-0.3, 0.45), "finger": (-0.1, 0.55)}
+"""Where skin passes from the wrist to a metacarpal, in lengths of it from its base."""
 _BLEND = {"proximal": 1.25, "intermediate": 0.95, "distal": 0.85}
 """Half of the way over which skin passes from one bone to the next, in radii of the joint."""
 _CREASE = {"proximal": 0.55, "intermediate": 0.1, "distal": 0.1}
@@ -52,7 +54,8 @@ def bone_weights(points: Array, shape: HandShape) -> Array:
     weights = np.zeros((len(points), len(BONE_NAMES)))
     weights[:, 0] = _WRIST_NEARNESS / total
     for chain, near in zip(chains.values(), nearness.T, strict=True):
-        beyond = np.ones(len(points))
+        beyond = _beyond_wrist(points, shape, chain)
+        weights[:, 0] += near / total * (1.0 - beyond)
         for number, joint in enumerate(chain[:-1]):
             following = (
                 _beyond(points, shape, chain, number + 1)
@@ -78,6 +81,20 @@ def _nearness(points: Array, shape: HandShape, chain: list[str]) -> Array:
     return np.minimum(np.maximum(nearest, 1e-3) ** -_SHARPNESS, 1e3)
 
 
+def _beyond_wrist(points: Array, shape: HandShape, chain: list[str]) -> Array:
+    """Share of skin that goes with a metacarpal or what follows it, not with the wrist, [N]."""
+    start, end = shape.joints[chain[0]], shape.joints[chain[1]]
+    way = (points - start) @ (end - start) / ((end - start) @ (end - start))
+    first, last = _CARPUS["thumb" if chain[0].startswith("thumb") else "finger"]
+    return _step((way - first) / (last - first))
+
+
+def _step(way: Array) -> Array:
+    """Rise smoothly from 0 at 0 to 1 at 1."""
+    share = np.clip(way, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
 def _beyond(points: Array, shape: HandShape, chain: list[str], number: int) -> Array:
     """Share of skin that goes with the bones after a joint: 0 before it, 1 after it, shape [N]."""
     joint, before = chain[number], chain[number - 1]
@@ -89,5 +106,4 @@ def _beyond(points: Array, shape: HandShape, chain: list[str], number: int) -> A
     way = offset @ (ahead / np.linalg.norm(ahead))
     depth = np.clip(-offset @ (up / np.linalg.norm(up)), -1.5 * radius, 1.5 * radius)
     way = way - _CREASE[segment] * depth
-    share = np.clip(0.5 + 0.5 * way / (_BLEND[segment] * radius), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return _step(0.5 + 0.5 * way / (_BLEND[segment] * radius))
