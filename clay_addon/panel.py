@@ -11,6 +11,8 @@ from . import bake_operators, playback
 from .bake_checks import BakeError, changed_subjects, resolve_directory
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
+from .hand import hand_objects
+from .hand_store import is_stored
 from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
@@ -95,6 +97,24 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box.label(text=item.name)
             box.prop(item.tactile_clay, "collider_kind")
             box.prop(item.tactile_clay, "collider_friction")
+
+
+class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """Hands that work the clay."""
+
+    bl_label = "Hands"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.operator_menu_enum("clay.hand_add", "side", icon="VIEW_PAN")
+        row = layout.row(align=True)
+        row.operator("clay.hand_make", icon="ARMATURE_DATA")
+        row.operator("clay.hand_remove", text="", icon="X")
+        for hand in hand_objects(context.scene):
+            layout.label(text=hand.name, icon="VIEW_PAN")
+            if not is_stored(hand.data):
+                draw_text(layout.box(), f"{hand.name!r} is not bound.", icon="ERROR")
 
 
 class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
@@ -190,7 +210,7 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
     return state, warning
 
 
-_CLASSES = (CLAY_PT_clay, CLAY_PT_colliders, CLAY_PT_bake, CLAY_PT_export)
+_CLASSES = (CLAY_PT_clay, CLAY_PT_colliders, CLAY_PT_hands, CLAY_PT_bake, CLAY_PT_export)
 
 
 def register() -> None:

@@ -21,6 +21,7 @@ from .ghosts import SurfaceGhosts, rasterize_ghosts
 from .hand_flesh import REACH, Flesh, hand_flesh
 from .hand_parts import PALM, HandParts, hand_parts, skin_edges, skin_pieces
 from .hand_rig import HandRig
+from .inferred_skeleton import inferred_parents
 from .lattice_tetrahedra import barycentric_weights, carriers
 from .skin_query import SkinQuery
 from .skinned_hand import SkinnedHand
@@ -60,13 +61,15 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     if not (np.isfinite(clay_spacing) and clay_spacing > 0.0):
         raise ValueError(f"The clay's spacing is {clay_spacing!r} m; it must be above 0.")
     vertices, faces, weights = _checked_skin(hand)
-    order = _bone_order(hand)
-    weights = weights[:, order]
-    rest = hand.bone_rest[order]
-    parent = np.array(
-        [-1 if hand.bone_parent[b] < 0 else order.index(hand.bone_parent[b]) for b in order],
-        np.int32,
-    )
+    _check_bones(hand)
+    parents = hand.bone_parent
+    if (parents < 0).all():
+        parents = inferred_parents(
+            hand.bone_names, hand.bone_rest[:, :3, 3], weights, skin_edges(faces)
+        )
+    order = _parents_first(parents)
+    weights, rest = weights[:, order], hand.bone_rest[order]
+    parent = np.array([order.index(parents[b]) if parents[b] >= 0 else -1 for b in order], np.int32)
     cell = _checked_cell(vertices, faces, cell)
     spacing = GHOST_SPACING * clay_spacing
     ghosts = _ghosts(vertices, faces, spacing)
@@ -158,21 +161,25 @@ def _checked_skin(
     return vertices, faces, weights / total[:, None]
 
 
-def _bone_order(hand: SkinnedHand) -> list[int]:
-    """Bones with parents before children, or say why they are no skeleton."""
+def _check_bones(hand: SkinnedHand) -> None:
     count = len(hand.bone_names)
+    if count == 0:
+        raise ValueError("The hand has no bones.")
     if len(set(hand.bone_names)) < count:
         raise ValueError("Two bones of the hand have the same name.")
-    if not np.isfinite(hand.bone_rest).all() or (
-        np.abs(np.linalg.det(hand.bone_rest[:, :3, :3])) < 1e-12
-    ).any():
+    rest = np.asarray(hand.bone_rest, np.float64)
+    if not np.isfinite(rest).all() or (np.abs(np.linalg.det(rest[:, :3, :3])) < 1e-12).any():
         raise ValueError("A bone's rest matrix is not finite, or is scaled to nothing.")
     if ((hand.bone_parent < -1) | (hand.bone_parent >= count)).any():
         raise ValueError("A bone's parent is not there.")
+
+
+def _parents_first(parents: NDArray[np.int32]) -> list[int]:
+    """Bones with parents before children, or say why they are no skeleton."""
     order: list[int] = []
-    waiting = list(range(count))
+    waiting = list(range(len(parents)))
     while waiting:
-        ready = [bone for bone in waiting if hand.bone_parent[bone] in (-1, *order)]
+        ready = [bone for bone in waiting if parents[bone] < 0 or parents[bone] in order]
         if not ready:
             raise ValueError("The hand's bones are their own ancestors.")
         order += ready

@@ -25,7 +25,8 @@ LEAST_QUALITY = 0.4
 REACH = 2.0
 """Palm belongs to the root of a finger up to this far along the skin, in cells."""
 
-_CIRCUMRADIUS = np.sqrt(5.0) / 4.0
+_SAMPLE_REACH = 0.75 * np.sqrt(5.0) / 4.0
+"""Samples lie at most this far from the middle of their tetrahedron, in cells."""
 _SAMPLES = np.array(
     [(i, j, k, 3 - i - j - k) for i in range(4) for j in range(4 - i) for k in range(4 - i - j)]
 )
@@ -107,12 +108,16 @@ def _content(
 ) -> tuple[_Content, Tetrahedra]:
     """Look what is in each tetrahedron, and leave out those that hold nothing."""
     center = skin.nearest(lattice.points[lattice.corners].mean(1))
-    touched = center.depth > -_CIRCUMRADIUS * cell
-    corners, depth, nearest = lattice.corners[touched], center.depth[touched], center.vertex[touched]
+    touched = center.depth > -_SAMPLE_REACH * cell
+    corners, depth, nearest = (
+        lattice.corners[touched],
+        center.depth[touched],
+        center.vertex[touched],
+    )
     count, finger_count = len(corners), parts.finger_count
     share = np.zeros((count, 1 + finger_count))
     at_root = np.zeros((count, finger_count), bool)
-    full = depth > _CIRCUMRADIUS * cell
+    full = depth > _SAMPLE_REACH * cell
     share[full, parts.part[nearest[full]]] = 1.0
     at_root[full] = parts.beyond[nearest[full]] < REACH * cell
     cut = np.flatnonzero(~full)

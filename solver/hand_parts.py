@@ -105,6 +105,7 @@ def finger_chains(
         parent = int(parents[bone])
         if (carries[bone] or children[bone]) and parent >= 0:
             children[parent].append(bone)
+    several = sum(bool(carries[b] or children[b]) for b in np.flatnonzero(parents < 0)) > 1
     chains = []
     for end in np.flatnonzero(carries):
         if children[end]:
@@ -113,7 +114,7 @@ def finger_chains(
         while (parent := int(parents[chain[-1]])) >= 0 and len(children[parent]) == 1:
             chain.append(parent)
         # A skeleton without branches has no fingers.
-        if parent >= 0:
+        if parent >= 0 or several:
             chains.append(np.array(chain, np.int64))
     return chains
 

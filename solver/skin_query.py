@@ -91,6 +91,4 @@ class SkinQuery:
             ],
             device="cpu",
         )
-        return NearestSkin(
-            depth.numpy(), face.numpy(), vertex.numpy(), place.numpy() + self.middle
-        )
+        return NearestSkin(depth.numpy(), face.numpy(), vertex.numpy(), place.numpy() + self.middle)

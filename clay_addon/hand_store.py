@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a .blend keeps of a bound hand: one compressed property on its mesh.
+
+It goes where the mesh goes: into duplicates, into libraries and through Undo.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..solver.hand_rig import HandRig
+
+PROPERTY = "tactile_clay_hand"
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class StoredHand:
+    """A bound hand, and what it was bound from."""
+
+    rig: HandRig
+    """The hand [m], in world coordinates at the time of binding."""
+    armature: NDArray[np.float64]
+    """World from armature at that time [m], shape [4, 4]."""
+    weights_digest: str
+    """Of the vertex weights."""
+
+
+def is_stored(mesh: bpy.types.Mesh) -> bool:
+    """Whether a mesh holds a bound hand."""
+    return PROPERTY in mesh
+
+
+def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
+    """Keep a bound hand on a mesh, in place of the one that it may have."""
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        version=np.array(_VERSION),
+        armature=hand.armature,
+        weights_digest=np.array(hand.weights_digest),
+        **hand.rig.to_arrays(),
+    )
+    mesh[PROPERTY] = buffer.getvalue()
+
+
+def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
+    """Read the hand that `store_hand` kept.
+
+    Raises:
+        ValueError: There is none, it is damaged, or a newer version of the add-on wrote it.
+    """
+    if PROPERTY not in mesh:
+        raise ValueError("it is not bound")
+    try:
+        with np.load(io.BytesIO(bytes(mesh[PROPERTY])), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if int(arrays["version"]) > _VERSION:
+            raise ValueError("a newer version of Tactile Clay bound it")
+        return StoredHand(
+            HandRig.from_arrays(arrays), arrays["armature"], str(arrays["weights_digest"])
+        )
+    except (KeyError, OSError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"what the file keeps of it is damaged ({error})") from error
+
+
+def forget_hand(mesh: bpy.types.Mesh) -> None:
+    """Drop the hand that a mesh holds."""
+    if PROPERTY in mesh:
+        del mesh[PROPERTY]
