@@ -91,7 +91,7 @@ def _add_armature(
     context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="EDIT")
     try:
-        bones = []
+        bones: list[bpy.types.EditBone] = []
         for bone_name, rest, parent in zip(
             hand.bone_names, hand.bone_rest, hand.bone_parent, strict=True
         ):

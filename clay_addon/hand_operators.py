@@ -8,7 +8,8 @@ from mathutils import Matrix
 
 from ..solver.hand_proportions import REFERENCE_LENGTH
 from .add_hand import AddHandError, add_hand
-from .hand import HandError, make_hand, remove_hand, skinned_hand
+from .hand import make_hand, remove_hand
+from .hand_reading import HandError, skinned_hand
 
 _GAP = 0.75
 """Way from the middle to each of two hands, in lengths of a hand."""

@@ -10,6 +10,7 @@ import io
 import zipfile
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from ..solver.hand_rig import HandRig
 
 PROPERTY = "tactile_clay_hand"
+SOURCE_PROPERTY = f"{PROPERTY}_source"
+SPACING_PROPERTY = f"{PROPERTY}_ghost_spacing"
 _VERSION = 1
 
 
@@ -31,6 +34,8 @@ class StoredHand:
     """World from armature at that time [m], shape [4, 4]."""
     weights_digest: str
     """Of the vertex weights."""
+    source_digest: str
+    """Of mesh, weights, skeleton and size as they are in the file."""
 
 
 def is_stored(mesh: bpy.types.Mesh) -> bool:
@@ -41,14 +46,26 @@ def is_stored(mesh: bpy.types.Mesh) -> bool:
 def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
     """Keep a bound hand on a mesh, in place of the one that it may have."""
     buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        version=np.array(_VERSION),
-        armature=hand.armature,
-        weights_digest=np.array(hand.weights_digest),
+    arrays: dict[str, Any] = {
+        "version": np.array(_VERSION),
+        "armature": hand.armature,
+        "weights_digest": np.array(hand.weights_digest),
         **hand.rig.to_arrays(),
-    )
+    }
+    np.savez_compressed(buffer, **arrays)
     mesh[PROPERTY] = buffer.getvalue()
+    mesh[SOURCE_PROPERTY] = hand.source_digest
+    mesh[SPACING_PROPERTY] = hand.rig.ghost_spacing
+
+
+def stored_source(mesh: bpy.types.Mesh) -> str:
+    """The digest of what the mesh's hand was bound from, without reading the hand itself."""
+    return str(mesh.get(SOURCE_PROPERTY, ""))
+
+
+def stored_spacing(mesh: bpy.types.Mesh) -> float:
+    """Distance of the ghosts of the mesh's hand [m], without reading the hand itself."""
+    return float(mesh.get(SPACING_PROPERTY, 0.0))
 
 
 def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
@@ -65,7 +82,10 @@ def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
         if int(arrays["version"]) > _VERSION:
             raise ValueError("a newer version of Tactile Clay bound it")
         return StoredHand(
-            HandRig.from_arrays(arrays), arrays["armature"], str(arrays["weights_digest"])
+            HandRig.from_arrays(arrays),
+            arrays["armature"],
+            str(arrays["weights_digest"]),
+            stored_source(mesh),
         )
     except (KeyError, OSError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"what the file keeps of it is damaged ({error})") from error
@@ -73,5 +93,6 @@ def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
 
 def forget_hand(mesh: bpy.types.Mesh) -> None:
     """Drop the hand that a mesh holds."""
-    if PROPERTY in mesh:
-        del mesh[PROPERTY]
+    for name in (PROPERTY, SOURCE_PROPERTY, SPACING_PROPERTY):
+        if name in mesh:
+            del mesh[name]

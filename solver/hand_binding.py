@@ -214,8 +214,8 @@ def default_cell(volume: float, area: float) -> float:
     low, high = 1e-3 * volume ** (1 / 3), 10.0 * volume ** (1 / 3)
     for _ in range(60):
         cell = 0.5 * (low + high)
-        # Two nodes a cell, in the hand and a third of a cell around it.
-        if 2.0 * (volume + 0.36 * cell * area) / cell**3 > NODE_COUNT:
+        # Two nodes a cell, in the hand and, as the lattice's outside lies around it, in a layer.
+        if 2.0 * (volume + 0.93 * cell * area) / cell**3 > NODE_COUNT:
             low = cell
         else:
             high = cell

@@ -2,8 +2,8 @@
 """How large the parts of a hand are: those of an average adult, or those a tracker measured.
 
 The joints are those of OpenXR's XR_EXT_hand_tracking. Lengths of the average hand's bones follow
-Buryanov and Kotiuk, "Proportions of Hand Segments", International Journal of Morphology 28(3), 2010;
-breadths are rounded averages of adult hands.
+Buryanov and Kotiuk, "Proportions of Hand Segments", International Journal of Morphology 28(3),
+2010; breadths are rounded averages of adult hands.
 
 Frame: the wrist joint is the origin, straight fingers point to +Y, the back of the hand to +Z, and
 the thumb of a right hand to -X.
@@ -11,6 +11,7 @@ the thumb of a right hand to -X.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -187,7 +188,7 @@ _Measured = Mapping[str, tuple[Array, float]]
 
 
 def _in_palm_frame(joints: Mapping[str, Array]) -> Array:
-    """Turn and move joints so that the palm lies as that of the average hand does, shape [26, 3]."""
+    """Turn and move joints so that the palm lies as the average hand's does, shape [26, 3]."""
     points, targets = [joints["wrist"]], [np.zeros(3)]
     for name in FINGERS:
         points += [joints[f"{name}_metacarpal"], joints[f"{name}_proximal"]]
@@ -201,7 +202,7 @@ def _in_palm_frame(joints: Mapping[str, Array]) -> Array:
 
 def _finger(measured: _Measured, name: str) -> Finger:
     chain = [measured[f"{name}_{segment}"] for segment in SEGMENTS]
-    way = [float(np.linalg.norm(b[0] - a[0])) for a, b in zip(chain[1:], chain[2:], strict=False)]
+    way = [float(np.linalg.norm(b[0] - a[0])) for a, b in pairwise(chain[1:])]
     radii = tuple(float(size) for _, size in chain)
     assert len(radii) == 5
     return Finger(
@@ -211,7 +212,7 @@ def _finger(measured: _Measured, name: str) -> Finger:
 
 def _thumb(measured: _Measured) -> Thumb:
     chain = [measured[f"thumb_{segment}"] for segment in THUMB_SEGMENTS]
-    way = [float(np.linalg.norm(b[0] - a[0])) for a, b in zip(chain, chain[1:], strict=False)]
+    way = [float(np.linalg.norm(b[0] - a[0])) for a, b in pairwise(chain)]
     radii = tuple(float(size) for _, size in chain)
     assert len(radii) == 4
     return Thumb(_vec3(chain[0][0]), (way[0], way[1], way[2] + radii[-1]), radii)

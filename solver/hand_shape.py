@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from .hand_proportions import (
     AVERAGE,
-    FINGERS,
     JOINT_NAMES,
     REFERENCE_LENGTH,
     SEGMENTS,
