@@ -10,15 +10,17 @@ The frame is that of `hand_shape`: wrist in the origin, fingers to +Y, the hand'
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .hand_mesh import hand_mesh
-from .hand_proportions import AVERAGE, REFERENCE_LENGTH, HandProportions
+from .hand_proportions import AVERAGE, FINGERS, REFERENCE_LENGTH, SEGMENTS, HandProportions
 from .hand_rig import MOST_BONES
-from .hand_shape import HandPose, HandShape, hand_shape
+from .hand_shape import HandPose, HandShape, hand_shape, reference_shape
 from .hand_weights import BONE_NAMES, bone_parents, bone_weights
 from .skinned_hand import SkinnedHand
 
@@ -34,6 +36,10 @@ REST_POSE = HandPose(
 )
 """Fingers apart and a little bent: between a flat hand and a fist."""
 
+_GAP = 0.0025
+"""Air between fingers at rest, in a hand of the reference length [m]."""
+_WEB = 0.6
+"""Fingers are apart from here on, in lengths of the proximal bone."""
 _SMOOTHING = 6
 _NEGLIGIBLE = 0.02
 """Weights below this are left out, so that a finger is free of its neighbours."""
@@ -62,10 +68,11 @@ def default_hand(
         ValueError: If the side is unknown, the length is not positive, or the edge is too long to
             tell the fingers apart.
     """
+    pose = rest_pose(proportions)
     vertices, faces = hand_mesh(
-        side, length=length, pose=REST_POSE, edge_length=edge_length, proportions=proportions
+        side, length=length, pose=pose, edge_length=edge_length, proportions=proportions
     )
-    shape = hand_shape(side, length=length, pose=REST_POSE, proportions=proportions)
+    shape = hand_shape(side, length=length, pose=pose, proportions=proportions)
     weights = _smoothed(bone_weights(vertices, shape), faces)
     return SkinnedHand(
         side=side,
@@ -100,6 +107,38 @@ def default_hand_rig(
 
     hand = default_hand(side, length=length, proportions=proportions)
     return bind_hand(hand, clay_spacing=clay_spacing)
+
+
+def rest_pose(proportions: HandProportions) -> HandPose:
+    """The pose that a hand is modelled in: `REST_POSE`, opened further for thick fingers."""
+    for share in np.arange(1.0, 3.0, 0.1):
+        pose = replace(
+            REST_POSE,
+            **{
+                name: (share * getattr(REST_POSE, name)[0], *getattr(REST_POSE, name)[1:])
+                for name in FINGERS
+            },
+        )
+        if _narrowest_gap(reference_shape(pose, proportions)) > _GAP:
+            break
+    return pose
+
+
+def _narrowest_gap(shape: HandShape) -> float:
+    """Air between neighbouring fingers beyond their webs [m]."""
+    share = np.linspace(_WEB, 3.0, 25)
+    tubes = []
+    for name in FINGERS:
+        chain = [f"{name}_{segment}" for segment in SEGMENTS[1:]]
+        places = np.array([shape.joints[joint] for joint in chain])
+        radii = [shape.radii[joint] for joint in chain]
+        along = np.stack([np.interp(share, range(4), axis) for axis in places.T], axis=1)
+        tubes.append((along, np.interp(share, range(4), radii)))
+    gaps = [
+        np.linalg.norm(first[0][:, None] - second[0], axis=2) - first[1][:, None] - second[1]
+        for first, second in pairwise(tubes)
+    ]
+    return float(np.min(gaps))
 
 
 def bone_matrices(shape: HandShape) -> dict[str, NDArray[np.float64]]:

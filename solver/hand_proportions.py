@@ -165,6 +165,8 @@ def measured_proportions(
             f"The tracker gave no position or no radius above zero for {', '.join(bad)}. Measure "
             "again with the whole hand in view."
         )
+    if np.ptp(place, axis=0).max() < 0.01:
+        raise ValueError("The tracker has all joints in one place. Measure again.")
     if side == "left":
         place[:, 0] *= -1.0
     place = _in_palm_frame(dict(zip(JOINT_NAMES, place, strict=True)))
