@@ -15,13 +15,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .bone_names import named_parents
 from .closed_mesh import MeshError, check_closed_mesh, mesh_volume
 from .flesh_weights import flesh_weights
 from .ghosts import SurfaceGhosts, rasterize_ghosts
-from .hand_flesh import REACH, Flesh, hand_flesh
+from .hand_flesh import Flesh, hand_flesh
 from .hand_parts import PALM, HandParts, hand_parts, skin_edges, skin_pieces
 from .hand_rig import HandRig
-from .inferred_skeleton import inferred_parents
 from .lattice_tetrahedra import barycentric_weights, carriers
 from .skin_query import SkinQuery
 from .skinned_hand import SkinnedHand
@@ -64,9 +64,7 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     _check_bones(hand)
     parents = hand.bone_parent
     if (parents < 0).all():
-        parents = inferred_parents(
-            hand.bone_names, hand.bone_rest[:, :3, 3], weights, skin_edges(faces)
-        )
+        parents = named_parents(hand.bone_names)
     order = _parents_first(parents)
     weights, rest = weights[:, order], hand.bone_rest[order]
     parent = np.array([order.index(parents[b]) if parents[b] >= 0 else -1 for b in order], np.int32)
@@ -74,7 +72,7 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     spacing = GHOST_SPACING * clay_spacing
     ghosts = _ghosts(vertices, faces, spacing)
 
-    parts = hand_parts(vertices, faces, weights, parent)
+    parts = hand_parts(vertices, faces)
     flesh = hand_flesh(SkinQuery(vertices, faces), vertices, faces, parts, cell)
     places = ghosts.positions(vertices, faces)
     nearest = faces[ghosts.face, ghosts.weights.argmax(1)]
@@ -256,14 +254,15 @@ def _embedded(
     cell: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """Tetrahedron and barycentric coordinates of points of the skin, never in another finger."""
+    # Palm around the root of a finger may be in tetrahedra of the finger, but only in those there.
+    root_group = 1 + parts.finger_count
+    group = flesh.part + root_group * flesh.at_root
     part = parts.part[nearest]
     wanted = np.column_stack([part, part])
     if parts.finger_count:
-        beyond = parts.beyond[nearest]
-        root = beyond.argmin(1)
-        rooted = (part == PALM) & (beyond.min(1) < REACH * cell)
-        wanted[rooted, 1] = 1 + root[rooted]
-    carrier, outside = carriers(points, flesh.tetrahedra, flesh.part, wanted, cell)
+        root = np.where(part == PALM, 1 + parts.beyond[nearest].argmin(1), part)
+        wanted[:, 1] = root_group + root
+    carrier, outside = carriers(points, flesh.tetrahedra, group, wanted, cell)
     if (carrier < 0).any() or outside.min() < -FARTHEST:
         raise ValueError(
             f"A lattice cell of {cell:.3g} m is too coarse for this hand: parts of its skin lie "

@@ -23,7 +23,7 @@ LEAST_FILL = 0.2
 LEAST_QUALITY = 0.4
 """Mean ratio that laying the lattice's outside onto the skin leaves every tetrahedron, at least."""
 REACH = 2.0
-"""Palm belongs to the root of a finger up to this far along the skin, in cells."""
+"""Palm and finger are one where the way between them along the skin is shorter, in cells."""
 
 _SAMPLE_REACH = 0.75 * np.sqrt(5.0) / 4.0
 """Samples lie at most this far from the middle of their tetrahedron, in cells."""
@@ -42,6 +42,8 @@ class Flesh:
     """Each part's own, joined where the palm joins them."""
     part: NDArray[np.int32]
     """Part of the hand that each tetrahedron belongs to, shape [T]."""
+    at_root: NDArray[np.bool_]
+    """Whether it is a finger's that holds the palm around its root too, shape [T]."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,10 @@ class _Content:
 
     share: NDArray[np.float64]
     """Share of its volume that each part fills, shape [T, 1 + F]."""
-    at_root: NDArray[np.bool_]
-    """Whether the palm in it is where a finger has its root, shape [T, F]."""
+    palm_way: NDArray[np.float64]
+    """Least way along the skin from each finger's root to the palm in it [m], shape [T, F]."""
+    finger_way: NDArray[np.float64]
+    """Least way from each finger in it to that finger's root [m], shape [T, F]."""
 
 
 def hand_flesh(
@@ -72,8 +76,9 @@ def hand_flesh(
     """
     lattice = _lattice_around(skin, vertices, cell)
     content, lattice = _content(skin, lattice, parts, cell)
-    tetrahedron, part, fill = _copies(content)
-    key = _corner_keys(skin, lattice, parts, content, tetrahedron, part, cell)
+    tetrahedron, part, fill, at_root = _copies(content, cell)
+    filled = (part == PALM) & (fill >= LEAST_FILL)
+    key = _corner_keys(lattice, content, tetrahedron, part, tetrahedron[filled], cell)
     corners_of = np.unique(key, return_inverse=True)[1].reshape(key.shape)
     least = LEAST_FILL
     while True:
@@ -90,7 +95,7 @@ def hand_flesh(
     flesh = Tetrahedra(points, corners.reshape(-1, 4).astype(np.int32))
     owner = (used % (1 + parts.finger_count)).astype(np.int32)
     points = _laid_on_skin(flesh, owner, vertices, faces, parts, cell)
-    return Flesh(Tetrahedra(points, flesh.corners), part[kept])
+    return Flesh(Tetrahedra(points, flesh.corners), part[kept], at_root[kept])
 
 
 def _lattice_around(skin: SkinQuery, vertices: NDArray[np.float64], cell: float) -> Tetrahedra:
@@ -116,61 +121,75 @@ def _content(
     )
     count, finger_count = len(corners), parts.finger_count
     share = np.zeros((count, 1 + finger_count))
-    at_root = np.zeros((count, finger_count), bool)
+    way = np.full((2, count, finger_count), np.inf)
     full = depth > _SAMPLE_REACH * cell
-    share[full, parts.part[nearest[full]]] = 1.0
-    at_root[full] = parts.beyond[nearest[full]] < REACH * cell
-    cut = np.flatnonzero(~full)
-    samples = np.einsum("sk,tkd->tsd", _SAMPLES, lattice.points[corners[cut]])
-    found = skin.nearest(samples.reshape(-1, 3))
-    inside = (found.depth > 0.0).reshape(len(cut), -1)
-    part = parts.part[found.vertex].reshape(len(cut), -1)
-    for number in range(1 + finger_count):
-        share[cut, number] = (inside & (part == number)).mean(1)
-    beyond = parts.beyond[found.vertex].reshape(len(cut), len(_SAMPLES), finger_count)
-    in_palm = inside & (part == PALM)
-    at_root[cut] = (in_palm[..., None] & (beyond < REACH * cell)).any(1)
-    at_root &= share[:, :1] > 0.0
+    for rows, vertices, inside in (
+        (np.flatnonzero(full), nearest[full][:, None], np.ones((int(full.sum()), 1), bool)),
+        (np.flatnonzero(~full), *_sampled(skin, lattice.points[corners[~full]])),
+    ):
+        part, beyond = parts.part[vertices], parts.beyond[vertices]
+        for number in range(1 + finger_count):
+            share[rows, number] = (inside & (part == number)).mean(1)
+        in_palm = (inside & (part == PALM))[..., None]
+        on_finger = inside[..., None] & (part[..., None] == np.arange(1, 1 + finger_count))
+        way[0, rows] = np.where(in_palm, beyond, np.inf).min(1)
+        way[1, rows] = np.where(on_finger, -beyond, np.inf).min(1)
     some = share.any(1)
-    return _Content(share[some], at_root[some]), Tetrahedra(lattice.points, corners[some])
+    content = _Content(share[some], way[0, some], way[1, some])
+    return content, Tetrahedra(lattice.points, corners[some])
+
+
+def _sampled(
+    skin: SkinQuery, place: NDArray[np.float64]
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Nearest vertex to samples of tetrahedra, and whether they are inside, shape [T, samples]."""
+    samples = np.einsum("sk,tkd->tsd", _SAMPLES, place)
+    found = skin.nearest(samples.reshape(-1, 3))
+    shape = samples.shape[:2]
+    return found.vertex.reshape(shape), (found.depth > 0.0).reshape(shape)
 
 
 def _copies(
-    content: _Content,
-) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
-    """Tetrahedron, part and fill of every copy; the palm goes with the fingers that root in it."""
-    joined = (content.share[:, 1:] > 0.0) & content.at_root
+    content: _Content, cell: float
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.bool_]]:
+    """Tetrahedron, part and fill of every copy, and whether it joins a finger to the palm.
+
+    Palm in the same tetrahedron as the root of a finger goes with it; palm that a finger merely
+    touches, far from it along the skin, has a copy of its own.
+    """
+    joined = content.palm_way + content.finger_way < REACH * cell
     fill = content.share.copy()
     fill[:, 1:] += np.where(joined, content.share[:, :1], 0.0)
     fill[joined.any(1), PALM] = 0.0
     tetrahedron, part = np.nonzero(fill)
-    return tetrahedron, part.astype(np.int32), fill[tetrahedron, part]
+    at_root = np.column_stack([np.zeros(len(fill), bool), joined])
+    chosen = (tetrahedron, part)
+    return tetrahedron, part.astype(np.int32), fill[chosen], at_root[chosen]
 
 
 def _corner_keys(
-    skin: SkinQuery,
     lattice: Tetrahedra,
-    parts: HandParts,
     content: _Content,
     tetrahedron: NDArray[np.int64],
     part: NDArray[np.int32],
+    palm: NDArray[np.int64],
     cell: float,
 ) -> NDArray[np.int64]:
     """Tell corners of copies apart: the same number is the same node, shape [copies, 4].
 
-    A finger has the palm's corners where the palm fills tetrahedra around them, or is nearest, and
-    the finger has its root there. All others are its own.
+    A finger has the palm's corners where the palm alone fills a tetrahedron around them and the
+    finger has its root there. All others are its own.
     """
-    point_count, finger_count = len(lattice.points), parts.finger_count
+    point_count, finger_count = len(lattice.points), content.palm_way.shape[1]
     in_palm = np.zeros(point_count, bool)
-    in_palm[lattice.corners[tetrahedron[part == PALM]]] = True
-    at_root = np.zeros((point_count, finger_count), bool)
+    in_palm[lattice.corners[palm]] = True
+    way = np.full((2, point_count, finger_count), np.inf)
     for corner in lattice.corners.T:
-        np.logical_or.at(at_root, corner, content.at_root)
-    used = np.unique(lattice.corners)
-    nearest = skin.nearest(lattice.points[used]).vertex
-    in_palm[used] |= parts.part[nearest] == PALM
-    shared = np.column_stack([np.ones(point_count, bool), in_palm[:, None] & at_root])
+        np.minimum.at(way[0], corner, content.palm_way)
+        np.minimum.at(way[1], corner, content.finger_way)
+    shared = np.column_stack(
+        [np.ones(point_count, bool), in_palm[:, None] & (way.sum(0) < REACH * cell)]
+    )
     corners = lattice.corners[tetrahedron].astype(np.int64)
     owner = np.where(shared[corners, part[:, None]], PALM, part[:, None])
     return corners * (1 + finger_count) + owner

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which skin belongs to a finger that moves freely, and which to the palm that joins them.
 
-Nothing here knows the names of bones. A finger is a chain of bones up to where the skeleton
-branches; it is free from its tip to where its skin first meets that of another chain.
+Told by the shape of the skin alone, so that it holds for any skeleton and for careless weights: the
+way along the skin from the wrist has one peak at every fingertip. Peaks that last are fingers
+(Edelsbrunner, Letscher and Zomorodian, "Topological persistence and simplification", 2002,
+10.1007/s00454-002-2885-2); each is free down to where the shortest way to the next fingertip leaves
+it. Fingers that touch without being grown together are as far apart as their skin says.
 """
 
 from __future__ import annotations
@@ -15,8 +18,10 @@ from numpy.typing import NDArray
 PALM = 0
 """Part of all skin that is not a free finger's."""
 
-_SHORTEST = 0.02
-"""A free end shorter than this share of the hand's length is none."""
+_PERSISTENCE = 0.06
+"""A free end shorter than this share of the way from the wrist to the farthest tip is none."""
+_END_REACH = 0.12
+"""How far around an end its skin is measured, in largest ways along the skin."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,6 @@ class HandParts:
 
     part: NDArray[np.int32]
     """PALM, or 1 + the free finger that a vertex belongs to, shape [V]."""
-    chain: NDArray[np.int32]
-    """1 + the finger whose bones carry a vertex, be it free or not, or PALM, shape [V]."""
     beyond: NDArray[np.float64]
     """How far along the skin a vertex lies beyond the root of each free finger, negative on the
     finger [m], shape [V, F]."""
@@ -37,118 +40,44 @@ class HandParts:
         return self.beyond.shape[1]
 
 
-def hand_parts(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    weights: NDArray[np.float64],
-    parents: NDArray[np.int32],
-) -> HandParts:
+def hand_parts(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> HandParts:
     """Divide a skin.
 
     Args:
         vertices: Skin [m], shape [V, 3].
-        faces: Triangles of the closed skin, shape [F, 3].
-        weights: How much each bone carries each vertex, shape [V, B].
-        parents: Index of each bone's parent, -1 for a root, shape [B].
+        faces: Triangles of the closed skin, shape [F, 3], all in one piece.
     """
     edges = skin_edges(faces)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    chains = finger_chains(weights, parents)
-    shares = np.stack(
-        [weights.sum(1) - weights[:, np.concatenate([*chains, []]).astype(int)].sum(1)]
-        + [weights[:, chain].sum(1) for chain in chains],
-        axis=1,
-    )
-    chain = _without_islands(shares.argmax(1).astype(np.int32), edges)
+    height = way_from(_wrist(vertices, faces, edges, lengths), edges, lengths)
+    tips = [int(end[height[end].argmax()]) for end in _free_ends(height, edges)]
+    ways = [way_from(tip, edges, lengths) for tip in tips]
     part = np.full(len(vertices), PALM, np.int32)
-    least = _SHORTEST * float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    beyond = []
-    for number in range(1, len(chains) + 1):
-        own = chain == number
-        at_border = own[edges[:, 0]] & ~own[edges[:, 1]]
-        if not own.any() or not at_border.any():
-            continue
-        border = np.zeros(len(vertices), bool)
-        border[edges[at_border, 0]] = True
-        inner = _way_from(border, edges, lengths, own)
-        tip = np.zeros(len(vertices), bool)
-        tip[np.where(own, inner, -1.0).argmax()] = True
-        way = _way_from(tip, edges, lengths, np.ones(len(vertices), bool))
-        root = float(way[border].min())
-        if root < least:
-            continue
-        beyond.append(way - root)
-        part[own & (way < root)] = len(beyond)
-        chain[own] = -len(beyond)
-    chain = np.where(chain < 0, -chain, PALM)
-    columns = np.stack(beyond, axis=1) if beyond else np.zeros((len(vertices), 0))
-    return HandParts(part, chain.astype(np.int32), columns)
+    beyond = np.zeros((len(vertices), len(tips)))
+    for number, way in enumerate(ways):
+        roots = [
+            way[_web(way, other, height)] for second, other in enumerate(ways) if second != number
+        ]
+        beyond[:, number] = way - min(roots)
+        part[beyond[:, number] < 0.0] = 1 + number
+    return HandParts(part, beyond)
+
+
+def _web(
+    first: NDArray[np.float64], second: NDArray[np.float64], height: NDArray[np.float64]
+) -> int:
+    """Where the shortest way between two fingertips comes nearest to the wrist: between fingers."""
+    both = first + second
+    on_way = both <= both.min() * (1.0 + 1e-9)
+    return int(np.where(on_way, height, np.inf).argmin())
 
 
 def skin_edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Every edge of a closed skin, in both directions, shape [E, 2]."""
+    """Every edge of a closed skin, in both directions, sorted, shape [E, 2]."""
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    return np.unique(np.concatenate([directed, directed[:, ::-1]]), axis=0)
-
-
-def finger_chains(
-    weights: NDArray[np.float64], parents: NDArray[np.int32]
-) -> list[NDArray[np.int64]]:
-    """Bones of each finger: from an end of the skeleton up to where it branches.
-
-    Bones that carry no skin, such as those at fingertips, count for nothing.
-    """
-    count = len(parents)
-    carries = np.bincount(weights.argmax(1), minlength=count) > 0
-    children: list[list[int]] = [[] for _ in range(count)]
-    for bone in _ends_first(parents):
-        parent = int(parents[bone])
-        if (carries[bone] or children[bone]) and parent >= 0:
-            children[parent].append(bone)
-    several = sum(bool(carries[b] or children[b]) for b in np.flatnonzero(parents < 0)) > 1
-    chains = []
-    for end in np.flatnonzero(carries):
-        if children[end]:
-            continue
-        chain = [int(end)]
-        while (parent := int(parents[chain[-1]])) >= 0 and len(children[parent]) == 1:
-            chain.append(parent)
-        # A skeleton without branches has no fingers.
-        if parent >= 0 or several:
-            chains.append(np.array(chain, np.int64))
-    return chains
-
-
-def _ends_first(parents: NDArray[np.int32]) -> list[int]:
-    """Bones in an order that has children before their parents."""
-    depth = np.zeros(len(parents), np.int64)
-    above = parents.astype(np.int64)
-    while (above >= 0).any():
-        depth += above >= 0
-        above = np.where(above >= 0, parents[above], -1)
-    return [int(bone) for bone in np.argsort(-depth, kind="stable")]
-
-
-def _without_islands(label: NDArray[np.int32], edges: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Give specks of one label inside another to their neighbours."""
-    label = label.copy()
-    inside = label[edges[:, 0]] == label[edges[:, 1]]
-    piece = skin_pieces(len(label), edges[inside])
-    sizes = np.bincount(piece, minlength=len(label))
-    stray = np.zeros(len(label), bool)
-    for value in np.unique(label[label != PALM]):
-        own = label == value
-        stray |= own & (piece != piece[own][sizes[piece[own]].argmax()])
-    while stray.any():
-        known = stray[edges[:, 0]] & ~stray[edges[:, 1]]
-        if not known.any():
-            break
-        votes = np.zeros((len(label), int(label.max()) + 1), np.int64)
-        np.add.at(votes, (edges[known, 0], label[edges[known, 1]]), 1)
-        settled = stray & votes.any(1)
-        label[settled] = votes[settled].argmax(1)
-        stray &= ~settled
-    return label
+    count = int(faces.max()) + 1
+    keys = np.unique(np.concatenate([directed @ (count, 1), directed @ (1, count)]))
+    return np.stack([keys // count, keys % count], axis=1)
 
 
 def skin_pieces(count: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -162,18 +91,69 @@ def skin_pieces(count: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
             return piece
 
 
-def _way_from(
-    start: NDArray[np.bool_],
-    edges: NDArray[np.int64],
-    lengths: NDArray[np.float64],
-    allowed: NDArray[np.bool_],
+def way_from(
+    start: int, edges: NDArray[np.int64], lengths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Shortest way along edges between allowed vertices [m], shape [V]; infinite where none is."""
-    passable = allowed[edges].all(1)
-    edges, lengths = edges[passable], lengths[passable]
-    way = np.where(start, 0.0, np.inf)
+    """Shortest way along edges from a vertex [m], shape [V].
+
+    Args:
+        start: The vertex.
+        edges: Edges in both directions, shape [E, 2].
+        lengths: Their lengths [m], shape [E].
+    """
+    way = np.full(int(edges.max()) + 1, np.inf)
+    way[start] = 0.0
     while True:
         before = way.copy()
         np.minimum.at(way, edges[:, 0], way[edges[:, 1]] + lengths)
         if np.array_equal(way, before):
             return way
+
+
+def _wrist(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    edges: NDArray[np.int64],
+    lengths: NDArray[np.float64],
+) -> int:
+    """The end of the hand around which there is the most skin: an arm is thicker than a finger."""
+    first, second, third = np.moveaxis(vertices[faces], 1, 0)
+    area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+    own_area = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
+    first_end = int(way_from(0, edges, lengths).argmax())
+    height = way_from(first_end, edges, lengths)
+    others = [int(end[height[end].argmax()]) for end in _free_ends(height, edges)]
+    ends = [first_end, *others]
+    ways = [height, *(way_from(end, edges, lengths) for end in others)]
+    reach = _END_REACH * float(np.max(ways))
+    return ends[int(np.argmax([own_area[way < reach].sum() for way in ways]))]
+
+
+def _free_ends(height: NDArray[np.float64], edges: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Vertices of each end above where it meets another, for ends that are long enough."""
+    least = _PERSISTENCE * float(height.max())
+    start = np.searchsorted(edges[:, 0], np.arange(len(height) + 1))
+    neighbours = edges[:, 1]
+    group = np.full(len(height), -1, np.int64)
+    members: dict[int, list[int]] = {}
+    peaks: dict[int, float] = {}
+    merged: set[int] = set()
+    ends: list[NDArray[np.int64]] = []
+    for vertex in np.argsort(-height, kind="stable"):
+        around = {int(g) for g in group[neighbours[start[vertex] : start[vertex + 1]]] if g >= 0}
+        lasting = [g for g in around if g in merged or peaks[g] - height[vertex] >= least]
+        if len(lasting) > 1:
+            ends += [np.array(members[g]) for g in lasting if g not in merged]
+        if not around:
+            around = {int(vertex)}
+            members[int(vertex)], peaks[int(vertex)] = [], float(height[vertex])
+        into = max(around, key=lambda g: len(members[g]))
+        for other in around - {into}:
+            group[members[other]] = into
+            members[into] += members.pop(other)
+            peaks[into] = max(peaks[into], peaks.pop(other))
+        if len(lasting) > 1 or not merged.isdisjoint(around):
+            merged.add(into)
+        group[vertex] = into
+        members[into].append(int(vertex))
+    return ends
