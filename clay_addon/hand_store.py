@@ -53,6 +53,8 @@ def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
         **hand.rig.to_arrays(),
     }
     np.savez_compressed(buffer, **arrays)
+    # Assigning over bytes of another length spoils them (Blender 5.2).
+    forget_hand(mesh)
     mesh[PROPERTY] = buffer.getvalue()
     mesh[SOURCE_PROPERTY] = hand.source_digest
     mesh[SPACING_PROPERTY] = hand.rig.ghost_spacing
@@ -78,17 +80,22 @@ def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
         raise ValueError("it is not bound")
     try:
         with np.load(io.BytesIO(bytes(mesh[PROPERTY])), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if int(arrays["version"]) > _VERSION:
-            raise ValueError("a newer version of Tactile Clay bound it")
-        return StoredHand(
-            HandRig.from_arrays(arrays),
-            arrays["armature"],
-            str(arrays["weights_digest"]),
-            stored_source(mesh),
-        )
-    except (KeyError, OSError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            version = int(file["version"])
+            arrays = {name: file[name] for name in file.files} if version <= _VERSION else {}
+            rig = HandRig.from_arrays(arrays) if arrays else None
+    except (
+        KeyError,
+        OSError,
+        TypeError,
+        ValueError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise ValueError(f"what the file keeps of it is damaged ({error})") from error
+    if rig is None:
+        raise ValueError("a newer version of Tactile Clay bound it")
+    return StoredHand(rig, arrays["armature"], str(arrays["weights_digest"]), stored_source(mesh))
 
 
 def forget_hand(mesh: bpy.types.Mesh) -> None:

@@ -31,8 +31,6 @@ def curled(share: float) -> HandPose:
     )
 
 
-def pose_bones(
-    pose: str | HandPose, side: str = "right", **options: float
-) -> dict[str, np.ndarray]:
-    """World from each bone's own coordinates in a pose."""
-    return bone_matrices(hand_shape(side, pose=pose, **options))
+def pose_bones(pose: str | HandPose) -> dict[str, np.ndarray]:
+    """World from each bone's own coordinates of a right hand in a pose."""
+    return bone_matrices(hand_shape(pose=pose))

@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,11 @@ from tactile_clay.solver.skin_query import SkinQuery
 from tactile_clay.solver.skinned_hand import SkinnedHand
 
 from .hand_poses import FIST, pose_bones
+
+
+def scaled(values: tuple[float, ...], factor: float) -> Any:
+    """A tuple with every value scaled."""
+    return tuple(factor * value for value in values)
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +106,7 @@ def test_hand_takes_the_size_of_a_tracked_person() -> None:
     fingers = {
         name: replaced._replace(
             knuckle=(1.12 * replaced.knuckle[0], *replaced.knuckle[1:]),
-            lengths=tuple(1.08 * length for length in replaced.lengths),
+            lengths=scaled(replaced.lengths, 1.08),
         )
         for name, replaced in AVERAGE.fingers.items()
     }
@@ -127,7 +133,7 @@ def test_hand_takes_the_size_of_a_tracked_person() -> None:
 def test_thick_and_thin_fingers_stay_apart(thickness: float) -> None:
     """Close the skin around fingers of any thickness, with air between them."""
     fingers = {
-        name: finger._replace(radii=tuple(thickness * radius for radius in finger.radii))
+        name: finger._replace(radii=scaled(finger.radii, thickness))
         for name, finger in AVERAGE.fingers.items()
     }
     hand = default_hand(proportions=replace(AVERAGE, fingers=fingers))

@@ -21,7 +21,9 @@ ANGLE = st.floats(0.0, 80.0)
 FLEXION = st.tuples(st.floats(-10.0, 10.0), ANGLE, ANGLE, ANGLE)
 
 
-def tracked(side: str, length: float, pose: str | HandPose = "flat") -> tuple:
+def tracked(
+    side: str, length: float, pose: str | HandPose = "flat"
+) -> tuple[np.ndarray, np.ndarray]:
     """What a perfect tracker says of the default hand."""
     shape = hand_shape(side, length=length, pose=pose)
     return np.array(list(shape.joints.values())), np.array(list(shape.radii.values()))
@@ -78,12 +80,6 @@ def test_own_proportions_are_kept() -> None:
     assert hand.thumb.radii[2] == pytest.approx(1.3 * AVERAGE.thumb.radii[2], rel=1e-3)
 
 
-def spoilt(change: Callable[[np.ndarray, np.ndarray], None]) -> tuple:
-    joints, radii = tracked("right", 0.19)
-    change(joints, radii)
-    return joints, radii
-
-
 def nan_joint(joints: np.ndarray, radii: np.ndarray) -> None:
     joints[9, 1] = np.nan
 
@@ -113,8 +109,10 @@ def all_in_one_place(joints: np.ndarray, radii: np.ndarray) -> None:
 )
 def test_what_is_no_hand_is_refused(change: Callable, words: str) -> None:
     """Name the joint that is wrong, with its size."""
+    joints, radii = tracked("right", 0.19)
+    change(joints, radii)
     with pytest.raises(ValueError, match=words):
-        measured_proportions(*spoilt(change), "right")
+        measured_proportions(joints, radii, "right")
 
 
 def test_wrong_shapes_and_sides_are_refused() -> None:
