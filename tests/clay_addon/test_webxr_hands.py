@@ -14,6 +14,7 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from tactile_clay.clay_addon.hand import hand_bone_matrices, make_hand, read_hand_rig
 from tactile_clay.solver.hand_parts import hand_parts
@@ -96,7 +97,7 @@ def curl(item: Any, angle: float) -> None:
                 posed[name] = posed[before] @ local @ (turn if bends else np.eye(4))
                 before = name
     for bone in armature.pose.bones:
-        bone.matrix = posed[bone.name].tolist()
+        bone.matrix = Matrix(posed[bone.name].tolist())
     bpy.context.view_layer.update()
 
 
