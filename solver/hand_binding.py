@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bone_names import named_parents
-from .closed_mesh import MeshError, check_closed_mesh, mesh_volume
+from .closed_mesh import MeshError, check_closed_mesh, mesh_volume, mesh_area
 from .flesh_weights import flesh_weights
 from .ghosts import SurfaceGhosts, rasterize_ghosts
 from .hand_flesh import Flesh, hand_flesh
@@ -190,7 +190,7 @@ def _checked_cell(
 ) -> float:
     volume = mesh_volume(vertices, faces)
     if cell is None:
-        return default_cell(volume, skin_area(vertices, faces))
+        return default_cell(volume, mesh_area(vertices, faces))
     if not (np.isfinite(cell) and cell > 0.0):
         raise ValueError(f"The lattice cell is {cell!r} m; it must be above 0.")
     coarsest = _COARSEST * float(np.ptp(vertices, axis=0).max())
@@ -220,16 +220,10 @@ def default_cell(volume: float, area: float) -> float:
     return high
 
 
-def skin_area(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> float:
-    """Area of triangles [m²]."""
-    a, b, c = np.moveaxis(vertices[faces], 1, 0)
-    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-
-
 def _ghosts(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], spacing: float
 ) -> SurfaceGhosts:
-    expected = skin_area(vertices, faces) / spacing**2
+    expected = mesh_area(vertices, faces) / spacing**2
     if expected > MOST_GHOSTS:
         raise ValueError(
             f"Clay with a spacing of {spacing / GHOST_SPACING:.3g} m would take {expected:,.0f} "

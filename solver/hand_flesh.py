@@ -14,8 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .closed_mesh import mesh_volume, mesh_area
 from .hand_parts import PALM, HandParts, skin_pieces
-from .lattice_tetrahedra import Tetrahedra, lattice_tetrahedra, tetrahedron_qualities
+from .lattice_tetrahedra import (
+    Tetrahedra,
+    lattice_tetrahedra,
+    tetrahedron_qualities,
+    tetrahedron_volumes,
+)
 from .skin_query import SkinQuery
 
 LEAST_FILL = 0.2
@@ -32,6 +38,7 @@ _SAMPLES = np.array(
 )
 _SAMPLES = (_SAMPLES + 0.25) / 4.0
 _SNAPS = 8
+_MARGIN_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -212,12 +219,33 @@ def _laid_on_skin(
     parts: HandParts,
     cell: float,
 ) -> NDArray[np.float64]:
-    """Move corners outside of their part's skin onto it as far as tetrahedra stay well shaped.
+    """Move corners outside of their part's skin to it as far as tetrahedra stay well shaped.
 
-    So the tetrahedra have the hand's own volume and thickness, and none sticks out where a finger
-    bends.
+    They stop so far outside that flat faces between them cut off as much as they add: so the
+    tetrahedra have the hand's own volume, and little sticks out where a finger bends.
     """
-    way = np.zeros_like(flesh.points)
+    way = _way_to_skin(flesh.points, owner, vertices, faces, parts, cell)
+    length = np.linalg.norm(way, axis=1, keepdims=True)
+    volume, area = mesh_volume(vertices, faces), mesh_area(vertices, faces)
+    margin = 0.0
+    for _ in range(_MARGIN_ROUNDS):
+        stop = way * np.maximum(1.0 - margin / np.maximum(length, 1e-12), 0.0)
+        moved = _moved(flesh, stop)
+        lacking = volume - float(tetrahedron_volumes(moved, flesh.corners).sum())
+        margin = float(np.clip(margin + lacking / area, 0.0, 0.3 * cell))
+    return moved
+
+
+def _way_to_skin(
+    points: NDArray[np.float64],
+    owner: NDArray[np.int32],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    parts: HandParts,
+    cell: float,
+) -> NDArray[np.float64]:
+    """Way from points outside of their part's skin to it, zero for those inside [m], shape [N, 3]."""
+    way = np.zeros_like(points)
     for number in range(1 + parts.finger_count):
         # The palm's skin goes on beyond the roots, and a finger's into the palm: no edges there.
         if number == PALM:
@@ -230,15 +258,20 @@ def _laid_on_skin(
         chosen = faces[belongs[faces].any(1)]
         if not len(own) or not len(chosen):
             continue
-        found = SkinQuery(vertices, chosen).nearest(flesh.points[own])
+        found = SkinQuery(vertices, chosen).nearest(points[own])
         corner = vertices[chosen[found.face]]
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        offset = found.place - flesh.points[own]
+        offset = found.place - points[own]
         outside = np.einsum("ij,ij->i", offset, normal) < 0.0
         way[own] = np.where(outside[:, None], offset, 0.0)
-    share = np.ones(len(way))
+    return way
+
+
+def _moved(flesh: Tetrahedra, way: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners moved as far along their ways as tetrahedra stay well shaped [m], shape [N, 3]."""
+    share = np.ones((len(way), 1))
     for turn in range(_SNAPS + 2):
-        moved = flesh.points + share[:, None] * way
+        moved = flesh.points + share * way
         poor = tetrahedron_qualities(moved, flesh.corners) < LEAST_QUALITY
         if not poor.any():
             return moved

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_clay.solver.closed_mesh import MeshError, mesh_volume
+from tactile_clay.solver.closed_mesh import MeshError, mesh_area, mesh_volume
 from tactile_clay.solver.default_hand import default_hand
 from tactile_clay.solver.ghosts import rasterize_ghosts
-from tactile_clay.solver.hand_binding import bind_hand, skin_area
+from tactile_clay.solver.hand_binding import bind_hand
 from tactile_clay.solver.hand_flesh import hand_flesh
 from tactile_clay.solver.hand_parts import PALM, hand_parts
 from tactile_clay.solver.hand_rig import HandRig
@@ -65,7 +65,7 @@ def test_binding_is_exact_at_rest(hand: SkinnedHand, rig: HandRig) -> None:
 
 def test_ghosts_stand_for_the_whole_skin(hand: SkinnedHand, rig: HandRig) -> None:
     """Add areas up to the skin's, with unit normals that point outwards."""
-    assert rig.ghost_areas.sum() == pytest.approx(skin_area(hand.vertices, hand.faces), rel=1e-9)
+    assert rig.ghost_areas.sum() == pytest.approx(mesh_area(hand.vertices, hand.faces), rel=1e-9)
     assert (rig.ghost_areas > 0.0).all()
     np.testing.assert_allclose(np.linalg.norm(rig.ghost_normals, axis=1), 1.0)
     ghosts = rig.carried_ghosts(rig.nodes)
