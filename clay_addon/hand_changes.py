@@ -50,7 +50,8 @@ def changed_part(context: bpy.types.Context, item: bpy.types.Object, stored: Sto
 def source_digest(item: bpy.types.Object) -> str:
     """Thirty-two hexadecimal digits of what is in the file of a hand, whatever its pose and place.
 
-    Cheap, and free of side effects, so that a panel may ask; modifiers' own settings are not in it.
+    Cheap, and free of side effects, so that a panel may ask. Neither vertex weights nor settings of
+    modifiers are in it, which take longer.
 
     Raises:
         HandError: The object is not rigged.
@@ -63,13 +64,11 @@ def source_digest(item: bpy.types.Object) -> str:
         mesh.attributes["position"].data.foreach_get("vector", places.ravel())
     corners = np.empty(len(mesh.loops), np.int32)
     mesh.loops.foreach_get("vertex_index", corners)
-    groups = [(g.group, g.weight) for vertex in mesh.vertices for g in vertex.groups]
     names = [group.name for group in item.vertex_groups]
     bones = [(bone.name, bone.use_deform, *np.ravel(bone.matrix_local)) for bone in rig.data.bones]
     modifiers = [(m.type, m.show_viewport) for m in item.modifiers]
     _, stretch = rotation_and_stretch(np.array(rig.matrix_world, np.float64)[:3, :3])
     digest.update(places.tobytes())
     digest.update(corners.tobytes())
-    digest.update(np.array(groups, np.float32).tobytes())
     digest.update(repr((names, bones, modifiers, np.round(stretch, 4).tolist())).encode())
     return digest.hexdigest()

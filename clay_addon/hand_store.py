@@ -35,7 +35,7 @@ class StoredHand:
     weights_digest: str
     """Of the vertex weights."""
     source_digest: str
-    """Of mesh, weights, skeleton and size as they are in the file."""
+    """Of mesh, skeleton and size as they are in the file."""
 
 
 def is_stored(mesh: bpy.types.Mesh) -> bool:
