@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bone_names import named_parents
-from .closed_mesh import MeshError, check_closed_mesh, mesh_volume, mesh_area
+from .closed_mesh import MeshError, check_closed_mesh, mesh_area, mesh_volume
 from .flesh_weights import flesh_weights
 from .ghosts import SurfaceGhosts, rasterize_ghosts
 from .hand_flesh import Flesh, hand_flesh

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .closed_mesh import mesh_volume, mesh_area
+from .closed_mesh import mesh_area, mesh_volume
 from .hand_parts import PALM, HandParts, skin_pieces
 from .lattice_tetrahedra import (
     Tetrahedra,
@@ -244,7 +244,7 @@ def _way_to_skin(
     parts: HandParts,
     cell: float,
 ) -> NDArray[np.float64]:
-    """Way from points outside of their part's skin to it, zero for those inside [m], shape [N, 3]."""
+    """Way to their part's skin from points outside of it, zero for others [m], shape [N, 3]."""
     way = np.zeros_like(points)
     for number in range(1 + parts.finger_count):
         # The palm's skin goes on beyond the roots, and a finger's into the palm: no edges there.
