@@ -16,12 +16,12 @@ from ..solver.default_hand import default_hand
 from ..solver.hand_proportions import AVERAGE, REFERENCE_LENGTH, HandProportions
 from ..solver.skinned_hand import SkinnedHand
 from .hand import make_hand
+from .hand_look import add_hand_look
 from .preferences import missing_parts
 
 _BONE_SHAPE = "Clay hand bone"
 _BONE_LENGTH = 0.008
 """Of a bone as Blender keeps it: along +Y, where no finger is, so that it says nothing [m]."""
-_SKIN_COLOR = (0.58, 0.35, 0.24, 1.0)
 
 
 class AddHandError(Exception):
@@ -144,7 +144,7 @@ def _add_skin(
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata((hand.vertices / scale).tolist(), [], hand.faces.tolist())
     mesh.shade_smooth()
-    mesh.materials.append(_skin_material())
+    add_hand_look(mesh, hand)
     item = bpy.data.objects.new(name, mesh)
     context.collection.objects.link(item)
     for bone, bone_name in enumerate(hand.bone_names):
@@ -152,16 +152,3 @@ def _add_skin(
         for vertex in np.flatnonzero(hand.weights[:, bone]):
             group.add([int(vertex)], float(hand.weights[vertex, bone]), "REPLACE")
     return item
-
-
-def _skin_material() -> bpy.types.Material:
-    material = bpy.data.materials.get("Clay hand")
-    if material is None:
-        material = bpy.data.materials.new("Clay hand")
-        if bpy.app.version < (5, 0, 0):
-            material.use_nodes = True
-        shader = material.node_tree.nodes["Principled BSDF"]
-        shader.inputs["Base Color"].default_value = _SKIN_COLOR
-        shader.inputs["Roughness"].default_value = 0.5
-        material.diffuse_color = _SKIN_COLOR
-    return material
