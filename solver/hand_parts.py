@@ -98,16 +98,27 @@ def way_from(
 
     Args:
         start: The vertex.
-        edges: Edges in both directions, shape [E, 2].
+        edges: Edges in both directions, sorted, shape [E, 2].
         lengths: Their lengths [m], shape [E].
     """
-    way = np.full(int(edges.max()) + 1, np.inf)
+    count = int(edges.max()) + 1
+    first = np.searchsorted(edges[:, 0], np.arange(count + 1))
+    way = np.full(count, np.inf)
     way[start] = 0.0
-    while True:
-        before = way.copy()
-        np.minimum.at(way, edges[:, 0], way[edges[:, 1]] + lengths)
-        if np.array_equal(way, before):
-            return way
+    changed = np.zeros(count, bool)
+    front = np.array([start])
+    while len(front):
+        degree = first[front + 1] - first[front]
+        # Rows of the front's edges, one vertex after the other.
+        row = np.repeat(first[front] - np.cumsum(degree) + degree, degree)
+        row += np.arange(len(row))
+        reached, ahead = edges[row, 1], way[edges[row, 0]] + lengths[row]
+        shorter = ahead < way[reached]
+        np.minimum.at(way, reached[shorter], ahead[shorter])
+        changed[:] = False
+        changed[reached[shorter]] = True
+        front = np.flatnonzero(changed)
+    return way
 
 
 def _wrist(
