@@ -61,7 +61,13 @@ def test_both_hands_are_added_thumb_to_thumb(studio: Any) -> None:
     assert left.parent.location.x < thumbs[0].x < thumbs[1].x < right.parent.location.x
     assert (thumbs[0] - Vector((1.0, 2.0, 3.0))).length < 0.16
     assert bpy.context.object == right.parent
-    assert all(bone.custom_shape is not None for bone in right.parent.pose.bones)
+    bones = right.parent.pose.bones
+    assert all(bone.custom_shape is not None for bone in bones)
+    # The shape of a bone ends where the next begins.
+    end = bones["index_proximal"].matrix @ Vector(
+        (0.0, 0.0, -bones["index_proximal"].custom_shape_scale_xyz[2])
+    )
+    assert (end - bones["index_intermediate"].head).length < 1e-5
 
 
 def test_adding_is_undone(studio: Any) -> None:
