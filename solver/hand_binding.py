@@ -12,6 +12,8 @@ would have neither a normal nor an area, and push in all directions.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +75,7 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     ghosts = _ghosts(vertices, faces, spacing)
 
     parts = hand_parts(vertices, faces)
-    flesh = hand_flesh(SkinQuery(vertices, faces), vertices, faces, parts, cell)
+    flesh = _flesh_in_own_frame(vertices, faces, parts, cell)
     places = ghosts.positions(vertices, faces)
     nearest = faces[ghosts.face, ghosts.weights.argmax(1)]
     points = np.concatenate([vertices, places])
@@ -235,6 +237,27 @@ def _ghosts(
             f"its skin would have {expected:.0f} ghosts. Use finer clay or check the hand's units."
         )
     return rasterize_ghosts(vertices, faces, spacing)
+
+
+# Flesh -------------------------------------------------------------------------------------------
+
+
+def _flesh_in_own_frame(
+    vertices: NDArray[np.float64], faces: NDArray[np.int32], parts: HandParts, cell: float
+) -> Flesh:
+    """Fill a hand along its own longest axes, so that nothing depends on how it stands."""
+    corners = vertices[faces]
+    area = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    center = np.average(corners.mean(1), axis=0, weights=area)
+    offset = (corners.mean(1) - center) * np.sqrt(area / area.sum())[:, None]
+    axes = np.linalg.svd(offset, full_matrices=False)[2].T
+    axes[:, 2] *= np.linalg.det(axes)
+    own = (vertices - center) @ axes
+    flesh = hand_flesh(SkinQuery(own, faces), own, faces, parts, cell)
+    nodes = flesh.tetrahedra.points @ axes.T + center
+    return replace(flesh, tetrahedra=replace(flesh.tetrahedra, points=nodes))
 
 
 # Carrying ----------------------------------------------------------------------------------------

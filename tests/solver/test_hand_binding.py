@@ -281,6 +281,34 @@ def test_non_uniform_scale_and_distance_are_honoured(hand: SkinnedHand) -> None:
     assert np.median(errors) < 5e-4 and errors.max() < 0.012
 
 
+def test_turned_hand_is_bound_alike(hand: SkinnedHand, rig: HandRig) -> None:
+    """Lay the lattice along the hand, so that how it stands does not matter."""
+    motion = np.eye(4)
+    motion[:3, :3] = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+    motion[:3, :3] *= np.linalg.det(motion[:3, :3])
+    motion[:3, 3] = 1.0, -2.0, 3.0
+    turned = bind_hand(
+        replace(
+            hand,
+            vertices=hand.vertices @ motion[:3, :3].T + motion[:3, 3],
+            bone_rest=motion @ hand.bone_rest,
+        ),
+        clay_spacing=0.008,
+    )
+    assert len(turned.nodes) == pytest.approx(len(rig.nodes), rel=0.01)
+    bones = pose_bones(FIST)
+    moved = {name: motion @ matrix for name, matrix in bones.items()}
+    errors = np.linalg.norm(
+        rig.carried_vertices(rig.skinned_nodes(bones)) - hand.posed(bones), axis=1
+    )
+    turned_errors = np.linalg.norm(
+        turned.carried_vertices(turned.skinned_nodes(moved))
+        - (hand.posed(bones) @ motion[:3, :3].T + motion[:3, 3]),
+        axis=1,
+    )
+    assert np.median(turned_errors) == pytest.approx(np.median(errors), rel=0.05)
+
+
 @pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_scale_changes_nothing_but_sizes(hand: SkinnedHand, factor: float) -> None:
     """Bind a flea's and a giant's hand alike."""
