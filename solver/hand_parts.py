@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 PALM = 0
 """Part of all skin that is not a free finger's."""
 
-_PERSISTENCE = 0.06
-"""A free end shorter than this share of the way from the wrist to the farthest tip is none."""
+_PERSISTENCE = (0.06, 0.03)
+"""A free end is at least this long, in ways from the wrist to the farthest tip; the shorter only
+where it is slender, as fingers at the end of a long arm are."""
+_SLENDER = 1.7
+"""Length squared of a slender end over its area by pi; a round cap has 1, a finger 2 to 3."""
 _END_REACH = 0.12
 """How far around an end its skin is measured, in largest ways along the skin."""
 
@@ -49,8 +52,11 @@ def hand_parts(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> HandP
     """
     edges = skin_edges(faces)
     lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    height = way_from(_wrist(vertices, faces, edges, lengths), edges, lengths)
-    tips = [int(end[height[end].argmax()]) for end in _free_ends(height, edges)]
+    corners = np.moveaxis(vertices[faces], 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    areas = np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), minlength=len(vertices))
+    height = way_from(_wrist(edges, lengths, areas), edges, lengths)
+    tips = _free_ends(height, edges, areas)
     ways = [way_from(tip, edges, lengths) for tip in tips]
     part = np.full(len(vertices), PALM, np.int32)
     beyond = np.zeros((len(vertices), len(tips)))
@@ -122,49 +128,69 @@ def way_from(
 
 
 def _wrist(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    edges: NDArray[np.int64],
-    lengths: NDArray[np.float64],
+    edges: NDArray[np.int64], lengths: NDArray[np.float64], areas: NDArray[np.float64]
 ) -> int:
     """The end of the hand around which there is the most skin: an arm is thicker than a finger."""
-    first, second, third = np.moveaxis(vertices[faces], 1, 0)
-    area = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-    own_area = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
     first_end = int(way_from(0, edges, lengths).argmax())
     height = way_from(first_end, edges, lengths)
-    others = [int(end[height[end].argmax()]) for end in _free_ends(height, edges)]
-    ends = [first_end, *others]
-    ways = [height, *(way_from(end, edges, lengths) for end in others)]
+    others = {int(height.argmax()), *_free_ends(height, edges, areas)}
+    ends = [first_end, *sorted(others)]
+    ways = [way_from(end, edges, lengths) for end in ends]
     reach = _END_REACH * float(np.max(ways))
-    return ends[int(np.argmax([own_area[way < reach].sum() for way in ways]))]
+    return ends[int(np.argmax([areas[way < reach].sum() for way in ways]))]
 
 
-def _free_ends(height: NDArray[np.float64], edges: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Vertices of each end above where it meets another, for ends that are long enough."""
-    least = _PERSISTENCE * float(height.max())
+@dataclass
+class _End:
+    """A piece of skin above some height, on its way down from its highest vertex."""
+
+    peak: int
+    members: list[int]
+    area: float = 0.0
+    merged: bool = False
+    """Whether lasting ends have met in it."""
+
+
+def _free_ends(
+    height: NDArray[np.float64], edges: NDArray[np.int64], areas: NDArray[np.float64]
+) -> list[int]:
+    """Highest vertex of each end that is long enough where it meets another such.
+
+    Args:
+        height: Way of each vertex from the wrist [m], shape [V].
+        edges: Edges in both directions, sorted, shape [E, 2].
+        areas: Skin around each vertex [m²], shape [V].
+    """
+    long, short = (share * float(height.max()) for share in _PERSISTENCE)
     start = np.searchsorted(edges[:, 0], np.arange(len(height) + 1))
-    neighbours = edges[:, 1]
     group = np.full(len(height), -1, np.int64)
-    members: dict[int, list[int]] = {}
-    peaks: dict[int, float] = {}
-    merged: set[int] = set()
-    ends: list[NDArray[np.int64]] = []
-    for vertex in np.argsort(-height, kind="stable"):
-        around = {int(g) for g in group[neighbours[start[vertex] : start[vertex + 1]]] if g >= 0}
-        lasting = [g for g in around if g in merged or peaks[g] - height[vertex] >= least]
-        if len(lasting) > 1:
-            ends += [np.array(members[g]) for g in lasting if g not in merged]
+    ends: dict[int, _End] = {}
+    free: list[int] = []
+    for vertex in np.argsort(-height, kind="stable").tolist():
+        around = set(group[edges[start[vertex] : start[vertex + 1], 1]].tolist()) - {-1}
         if not around:
-            around = {int(vertex)}
-            members[int(vertex)], peaks[int(vertex)] = [], float(height[vertex])
-        into = max(around, key=lambda g: len(members[g]))
-        for other in around - {into}:
-            group[members[other]] = into
-            members[into] += members.pop(other)
-            peaks[into] = max(peaks[into], peaks.pop(other))
-        if len(lasting) > 1 or not merged.isdisjoint(around):
-            merged.add(into)
+            around = {vertex}
+            ends[vertex] = _End(vertex, [])
+        into = max(around, key=lambda number: len(ends[number].members))
+        if len(around) > 1:
+            lasting = []
+            for number in around:
+                end = ends[number]
+                length = float(height[end.peak] - height[vertex])
+                slender = length**2 > _SLENDER * end.area / np.pi
+                if end.merged or length >= long or (length >= short and slender):
+                    lasting.append(end)
+            if len(lasting) > 1:
+                free += [end.peak for end in lasting if not end.merged]
+            for number in around - {into}:
+                other = ends.pop(number)
+                group[other.members] = into
+                ends[into].members += other.members
+                ends[into].area += other.area
+                ends[into].merged |= other.merged
+                ends[into].peak = max(ends[into].peak, other.peak, key=lambda v: height[v])
+            ends[into].merged |= len(lasting) > 1
         group[vertex] = into
-        members[into].append(int(vertex))
-    return ends
+        ends[into].members.append(vertex)
+        ends[into].area += float(areas[vertex])
+    return free

@@ -68,6 +68,18 @@ def test_order_and_place_of_vertices_do_not_matter(hand: SkinnedHand) -> None:
     assert shuffled.finger_count == 5
 
 
+@pytest.mark.parametrize("arm", [0.02, 8.0], ids=["no wrist", "forearm"])
+def test_arm_may_be_short_or_long(hand: SkinnedHand, arm: float) -> None:
+    """Find the fingers of a hand that is cut off at the wrist, and of one with a whole arm."""
+    below = hand.vertices[:, 1] < 0.0
+    vertices = hand.vertices.copy()
+    vertices[below, 1] *= arm
+    parts = hand_parts(vertices, hand.faces)
+    before = hand_parts(hand.vertices, hand.faces)
+    assert parts.finger_count == 5
+    assert ((parts.part != PALM) == (before.part != PALM)).mean() > 0.97
+
+
 def test_lump_has_no_fingers() -> None:
     """Take a ball for one part."""
     ball = trimesh.creation.icosphere(subdivisions=3)
