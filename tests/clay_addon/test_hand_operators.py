@@ -181,6 +181,13 @@ def test_good_hand_is_not_made_beside_a_bad_one(studio: Any, unbound: Any) -> No
     assert unbound.tactile_clay.role == "NONE"
 
 
+def test_hand_is_not_made_into_clay(studio: Any) -> None:
+    """Keep a hand from being hidden as the source of clay."""
+    item = added(studio, side="RIGHT")
+    studio.select(item)
+    assert "'Right hand' is a clay hand" in studio.refused(bpy.ops.clay.make)
+
+
 def test_edited_hand_is_refused(studio: Any, unbound: Any) -> None:
     """Ask to leave Edit Mode."""
     bpy.ops.object.mode_set(mode="EDIT")
