@@ -103,8 +103,8 @@ def _closed_meshes(
             )
         if item.tactile_clay.role == "HAND":
             raise ClayError(
-                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove Clay "
-                "Hand first."
+                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove "
+                "Clay Hand first."
             )
         if item.library is not None:
             raise ClayError(
