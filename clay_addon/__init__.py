@@ -13,6 +13,7 @@ _MODULES = (
     "properties",
     "make_clay",
     "collider",
+    "hand_operators",
     "bake_operators",
     "playback",
     "export",

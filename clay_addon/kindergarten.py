@@ -21,7 +21,8 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..solver.closed_mesh import mesh_volume
-from ..solver.hand_mesh import POSES, HandPose, hand_mesh_in_poses, hand_shape
+from ..solver.hand_mesh import hand_mesh_in_poses
+from ..solver.hand_shape import POSES, HandPose, hand_shape
 from .collider import make_collider
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh, transform

@@ -101,6 +101,11 @@ def _closed_meshes(
                 f"{item.name!r} is a collider. Leave it out of the selection, or press Remove "
                 "Collider first."
             )
+        if item.tactile_clay.role == "HAND":
+            raise ClayError(
+                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove "
+                "Clay Hand first."
+            )
         if item.library is not None:
             raise ClayError(
                 f"{item.name!r} is linked from another file, so it cannot be hidden in renders. "

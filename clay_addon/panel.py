@@ -11,6 +11,7 @@ from . import bake_operators, playback
 from .bake_checks import BakeError, changed_subjects, resolve_directory
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
+from .hand import hand_message, hand_objects
 from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
@@ -20,6 +21,7 @@ _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
 
 _glance: dict[str, tuple[float, str, str]] = {}
+_hand_glance: dict[str, tuple[float, str]] = {}
 
 
 class _ClayPanel:
@@ -97,6 +99,25 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box.prop(item.tactile_clay, "collider_friction")
 
 
+class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
+    """Hands that work the clay."""
+
+    bl_label = "Hands"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.operator_menu_enum("clay.hand_add", "side", icon="VIEW_PAN")
+        row = layout.row(align=True)
+        row.operator("clay.hand_make", icon="ARMATURE_DATA")
+        row.operator("clay.hand_remove", text="", icon="X")
+        for hand in hand_objects(context.scene):
+            layout.label(text=hand.name, icon="VIEW_PAN")
+            message = hand_state(context.scene, hand)
+            if message:
+                draw_text(layout.box(), message, icon="ERROR")
+
+
 class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """The bake: its range, its folder, its state."""
 
@@ -160,6 +181,16 @@ class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
         self.layout.operator("clay.export", icon="EXPORT")
 
 
+def hand_state(scene: bpy.types.Scene, hand: bpy.types.Object) -> str:
+    """What is wrong with a hand, in words; looked up once a second."""
+    known = _hand_glance.get(hand.name_full)
+    if known is not None and time.monotonic() - known[0] < _GLANCE_SECONDS:
+        return known[1]
+    message = hand_message(scene, hand)
+    _hand_glance[hand.name_full] = (time.monotonic(), message)
+    return message
+
+
 def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
     """What the cache holds, and what is wrong with it, in words; looked up once a second."""
     known = _glance.get(scene.name)
@@ -190,7 +221,7 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
     return state, warning
 
 
-_CLASSES = (CLAY_PT_clay, CLAY_PT_colliders, CLAY_PT_bake, CLAY_PT_export)
+_CLASSES = (CLAY_PT_clay, CLAY_PT_colliders, CLAY_PT_hands, CLAY_PT_bake, CLAY_PT_export)
 
 
 def register() -> None:
@@ -204,3 +235,4 @@ def unregister() -> None:
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
     _glance.clear()
+    _hand_glance.clear()

@@ -73,6 +73,7 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
             ("NONE", "None", "Nothing to do with clay"),
             ("CLAY", "Clay", "A point cloud of clay particles"),
             ("COLLIDER", "Collider", "A mesh that presses on the clay"),
+            ("HAND", "Hand", "A rigged hand that works the clay"),
         ),
         default="NONE",
     )

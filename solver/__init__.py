@@ -12,33 +12,45 @@ from .material import Material
 from .settings import QUALITIES, Settings
 
 if TYPE_CHECKING:
+    from .default_hand import default_hand_rig
     from .diagnostics import Diagnostics
     from .fill import fill_mesh
+    from .hand_binding import bind_hand
+    from .hand_rig import HandRig
     from .scene import ClayBody, MeshCollider, Plane, Scene
+    from .skinned_hand import SkinnedHand
     from .solver import Solver
 
 __all__ = [
     "QUALITIES",
     "ClayBody",
     "Diagnostics",
+    "HandRig",
     "Material",
     "MeshCollider",
     "MeshError",
     "Plane",
     "Scene",
     "Settings",
+    "SkinnedHand",
     "Solver",
+    "bind_hand",
     "check_closed_mesh",
+    "default_hand_rig",
     "fill_mesh",
 ]
 
 _LOADED_ON_USE = {
     "ClayBody": "scene",
     "Diagnostics": "diagnostics",
+    "HandRig": "hand_rig",
     "MeshCollider": "scene",
     "Plane": "scene",
     "Scene": "scene",
+    "SkinnedHand": "skinned_hand",
     "Solver": "solver",
+    "bind_hand": "hand_binding",
+    "default_hand_rig": "default_hand",
     "fill_mesh": "fill",
 }
 

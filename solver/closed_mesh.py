@@ -24,6 +24,17 @@ def mesh_volume(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> f
     return float(np.einsum("ij,ij->", corners[:, 0], cross) / 6.0)
 
 
+def mesh_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> float:
+    """Area of a mesh [m²].
+
+    Args:
+        vertices: Corner positions [m], shape [V, 3].
+        faces: Corner indices, shape [F, 3].
+    """
+    first, second, third = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
+    return float(0.5 * np.linalg.norm(np.cross(second - first, third - first), axis=1).sum())
+
+
 def check_closed_mesh(
     vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh"
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -16,7 +16,7 @@ class Block:
 
 sys.meta_path.insert(0, Block())
 """
-BLENDER_MODULES = {"bl_ext", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils"}
+BLENDER_MODULES = {"bl_ext", "bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", "mathutils"}
 
 
 def run_python(source: str) -> subprocess.CompletedProcess[str]:

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_clay.solver.hand_mesh import (
-    JOINT_NAMES,
-    POSES,
-    HandPose,
-    hand_mesh,
-    hand_mesh_in_poses,
-    hand_shape,
-)
+from tactile_clay.solver.hand_mesh import hand_mesh, hand_mesh_in_poses
+from tactile_clay.solver.hand_proportions import JOINT_NAMES
+from tactile_clay.solver.hand_shape import POSES, HandPose, hand_shape
 
 
 def mesh_of(**options: Any) -> trimesh.Trimesh:

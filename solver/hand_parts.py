@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which skin belongs to a finger that moves freely, and which to the palm that joins them.
+
+Told by the shape of the skin alone, so that it holds for any skeleton and for careless weights: the
+way along the skin from the wrist has one peak at every fingertip. Peaks that last are fingers
+(Edelsbrunner, Letscher and Zomorodian, "Topological persistence and simplification", 2002,
+10.1007/s00454-002-2885-2); each is free down to where the shortest way to the next fingertip leaves
+it. Fingers that touch without being grown together are as far apart as their skin says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+PALM = 0
+"""Part of all skin that is not a free finger's."""
+
+_PERSISTENCE = (0.06, 0.03)
+"""A free end is at least this long, in ways from the wrist to the farthest tip; the shorter only
+where it is slender, as fingers at the end of a long arm are."""
+_SLENDER = 1.7
+"""Length squared of a slender end over its area by pi; a round cap has 1, a finger 2 to 3."""
+_END_REACH = 0.12
+"""How far around an end its skin is measured, in largest ways along the skin."""
+
+
+@dataclass(frozen=True)
+class HandParts:
+    """How the skin is divided into the palm and F free fingers."""
+
+    part: NDArray[np.int32]
+    """PALM, or 1 + the free finger that a vertex belongs to, shape [V]."""
+    beyond: NDArray[np.float64]
+    """How far along the skin a vertex lies beyond the root of each free finger, negative on the
+    finger [m], shape [V, F]."""
+
+    @property
+    def finger_count(self) -> int:
+        """Number F of free fingers."""
+        return self.beyond.shape[1]
+
+
+def hand_parts(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> HandParts:
+    """Divide a skin.
+
+    Args:
+        vertices: Skin [m], shape [V, 3].
+        faces: Triangles of the closed skin, shape [F, 3], all in one piece.
+    """
+    edges = skin_edges(faces)
+    lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    corners = np.moveaxis(vertices[faces], 1, 0)
+    area = 0.5 * np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]), axis=1)
+    areas = np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), minlength=len(vertices))
+    height = way_from(_wrist(edges, lengths, areas), edges, lengths)
+    tips = _free_ends(height, edges, areas)
+    ways = [way_from(tip, edges, lengths) for tip in tips]
+    part = np.full(len(vertices), PALM, np.int32)
+    beyond = np.zeros((len(vertices), len(tips)))
+    for number, way in enumerate(ways):
+        roots = [
+            way[_web(way, other, height)] for second, other in enumerate(ways) if second != number
+        ]
+        beyond[:, number] = way - min(roots)
+        part[beyond[:, number] < 0.0] = 1 + number
+    return HandParts(part, beyond)
+
+
+def _web(
+    first: NDArray[np.float64], second: NDArray[np.float64], height: NDArray[np.float64]
+) -> int:
+    """Where the shortest way between two fingertips comes nearest to the wrist: between fingers."""
+    both = first + second
+    on_way = both <= both.min() * (1.0 + 1e-9)
+    return int(np.where(on_way, height, np.inf).argmin())
+
+
+def skin_edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Every edge of a closed skin, in both directions, sorted, shape [E, 2]."""
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+    count = int(faces.max()) + 1
+    keys = np.unique(np.concatenate([directed @ (count, 1), directed @ (1, count)]))
+    return np.stack([keys // count, keys % count], axis=1)
+
+
+def skin_pieces(count: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of the connected piece that each vertex belongs to: its lowest vertex, shape [V]."""
+    piece = np.arange(count)
+    while True:
+        before = piece.copy()
+        np.minimum.at(piece, edges[:, 0], piece[edges[:, 1]])
+        piece = piece[piece]
+        if np.array_equal(piece, before):
+            return piece
+
+
+def way_from(
+    start: int, edges: NDArray[np.int64], lengths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shortest way along edges from a vertex [m], shape [V].
+
+    Args:
+        start: The vertex.
+        edges: Edges in both directions, sorted, shape [E, 2].
+        lengths: Their lengths [m], shape [E].
+    """
+    count = int(edges.max()) + 1
+    first = np.searchsorted(edges[:, 0], np.arange(count + 1))
+    way = np.full(count, np.inf)
+    way[start] = 0.0
+    changed = np.zeros(count, bool)
+    front = np.array([start])
+    while len(front):
+        degree = first[front + 1] - first[front]
+        # Rows of the front's edges, one vertex after the other.
+        row = np.repeat(first[front] - np.cumsum(degree) + degree, degree)
+        row += np.arange(len(row))
+        reached, ahead = edges[row, 1], way[edges[row, 0]] + lengths[row]
+        shorter = ahead < way[reached]
+        np.minimum.at(way, reached[shorter], ahead[shorter])
+        changed[:] = False
+        changed[reached[shorter]] = True
+        front = np.flatnonzero(changed)
+    return way
+
+
+def _wrist(
+    edges: NDArray[np.int64], lengths: NDArray[np.float64], areas: NDArray[np.float64]
+) -> int:
+    """The end of the hand around which there is the most skin: an arm is thicker than a finger."""
+    first_end = int(way_from(0, edges, lengths).argmax())
+    height = way_from(first_end, edges, lengths)
+    others = {int(height.argmax()), *_free_ends(height, edges, areas)}
+    ends = [first_end, *sorted(others)]
+    ways = [way_from(end, edges, lengths) for end in ends]
+    reach = _END_REACH * float(np.max(ways))
+    return ends[int(np.argmax([areas[way < reach].sum() for way in ways]))]
+
+
+@dataclass
+class _End:
+    """A piece of skin above some height, on its way down from its highest vertex."""
+
+    peak: int
+    members: list[int]
+    area: float = 0.0
+    merged: bool = False
+    """Whether lasting ends have met in it."""
+
+
+def _free_ends(
+    height: NDArray[np.float64], edges: NDArray[np.int64], areas: NDArray[np.float64]
+) -> list[int]:
+    """Highest vertex of each end that is long enough where it meets another such.
+
+    Args:
+        height: Way of each vertex from the wrist [m], shape [V].
+        edges: Edges in both directions, sorted, shape [E, 2].
+        areas: Skin around each vertex [m²], shape [V].
+    """
+    long, short = (share * float(height.max()) for share in _PERSISTENCE)
+    start = np.searchsorted(edges[:, 0], np.arange(len(height) + 1))
+    group = np.full(len(height), -1, np.int64)
+    ends: dict[int, _End] = {}
+    free: list[int] = []
+    for vertex in np.argsort(-height, kind="stable").tolist():
+        around = set(group[edges[start[vertex] : start[vertex + 1], 1]].tolist()) - {-1}
+        if not around:
+            around = {vertex}
+            ends[vertex] = _End(vertex, [])
+        into = max(around, key=lambda number: len(ends[number].members))
+        if len(around) > 1:
+            lasting = []
+            for number in around:
+                end = ends[number]
+                length = float(height[end.peak] - height[vertex])
+                slender = length**2 > _SLENDER * end.area / np.pi
+                if end.merged or length >= long or (length >= short and slender):
+                    lasting.append(end)
+            if len(lasting) > 1:
+                free += [end.peak for end in lasting if not end.merged]
+            for number in around - {into}:
+                other = ends.pop(number)
+                group[other.members] = into
+                ends[into].members += other.members
+                ends[into].area += other.area
+                ends[into].merged |= other.merged
+                ends[into].peak = max(ends[into].peak, other.peak, key=lambda v: height[v])
+            ends[into].merged |= len(lasting) > 1
+        group[vertex] = into
+        ends[into].members.append(vertex)
+        ends[into].area += float(areas[vertex])
+    return free
