@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What no message can lift: which focal points are let through, how loud and for how long.
+
+Guidelines on airborne ultrasound (75 dB below 20 kHz, 110 dB at 25 to 50 kHz) lack a solid basis, and
+devices in trade were measured above them (10.24425/aoa.2024.148795). So pressure, drive and time are
+capped whatever is asked for. These caps are engineering choices, not a medical clearance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .datagram import Datagram, DatagramError, Kind, decode
+
+STALE_AFTER = 0.150
+"""Sound goes off when the newest focal points are older than this [s]."""
+_CLOCK_SLACK = 0.005
+"""A datagram may seem to come from the future by no more than this [s]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Caps that a server is started with; a person may only lower them.
+
+    Raises:
+        ValueError: A value is out of the range that its line below gives.
+    """
+
+    amplitude: float = 1.0
+    """Highest drive of a transducer, relative to the device's full drive, above 0 and up to 1."""
+    pressure: float = 2000.0
+    """Highest pressure amplitude at a focal point [Pa], above 0 and up to 2,000."""
+    on_time: float = 120.0
+    """Sound without a pause lasts no longer than this [s], above 0 and up to 120: see `OnTime`."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for name, value, highest in (
+            ("amplitude cap", self.amplitude, 1.0),
+            ("pressure cap", self.pressure, 2000.0),
+            ("on-time limit", self.on_time, 120.0),
+        ):
+            if not (0.0 < value <= highest):
+                raise ValueError(f"the {name} must be above 0 and at most {highest:g}, not {value}")
+
+
+@dataclass(frozen=True)
+class WorkingVolume:
+    """A box in the array's frame in which focal points may lie."""
+
+    low: tuple[float, float, float]
+    """Its lowest corner [m]."""
+    high: tuple[float, float, float]
+    """Its highest corner [m]."""
+
+    @classmethod
+    def above(cls, positions: NDArray[np.floating]) -> WorkingVolume:
+        """The volume over an array whose transducers face +z.
+
+        It reaches from 30 mm to 600 mm above the array, and 100 mm beyond its sides.
+
+        Args:
+            positions: Transducers [m], shape [T, 3].
+        """
+        low, high = np.min(positions, axis=0), np.max(positions, axis=0)
+        return cls(
+            (float(low[0]) - 0.1, float(low[1]) - 0.1, float(high[2]) + 0.03),
+            (float(high[0]) + 0.1, float(high[1]) + 0.1, float(high[2]) + 0.6),
+        )
+
+    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Which points [m], shape [K, 3], lie in it, shape [K]."""
+        inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
+        return inside
+
+
+class RefusedError(Exception):
+    """A datagram is not let through; the message says why."""
+
+
+class Gate:
+    """Lets datagrams through that are whole, in order, fresh and of this session, and caps them.
+
+    Args:
+        volume: Where focal points may lie.
+        limits: The caps.
+        session: Number of the session that is listened to.
+        maximum_foci: Most focal points that the device takes; more are refused.
+    """
+
+    def __init__(
+        self, volume: WorkingVolume, limits: Limits, *, session: int, maximum_foci: int
+    ) -> None:
+        self.volume = volume
+        self.limits = limits
+        self.session = session
+        self.maximum_foci = maximum_foci
+        self.outside = 0
+        """Focal points left out so far because they lay outside the volume."""
+        self._sequence = -1
+
+    def admit(self, data: bytes, now: float) -> Datagram:
+        """Let a datagram through, or refuse it.
+
+        Args:
+            data: What came.
+            now: The monotonic clock [s].
+
+        Returns:
+            The datagram, with no focal point outside the volume or above the cap.
+
+        Raises:
+            RefusedError: It is not let through.
+        """
+        try:
+            datagram = decode(data)
+        except DatagramError as error:
+            raise RefusedError(str(error)) from error
+        if datagram.session != self.session:
+            raise RefusedError("of another session")
+        if datagram.kind in (Kind.STATUS, Kind.DRIVE):
+            raise RefusedError("that is for clients")
+        age = now - datagram.time
+        if not -_CLOCK_SLACK <= age <= STALE_AFTER:
+            raise RefusedError(f"{age * 1e3:.0f} ms old")
+        if datagram.sequence <= self._sequence:
+            raise RefusedError("out of order")
+        if datagram.kind is Kind.FOCI:
+            datagram = self._capped(datagram)
+        self._sequence = datagram.sequence
+        return datagram
+
+    def _capped(self, datagram: Datagram) -> Datagram:
+        positions, pressures = datagram.positions, datagram.pressures
+        if len(positions) > self.maximum_foci:
+            raise RefusedError(f"more than {self.maximum_foci} focal points")
+        if not (np.isfinite(positions).all() and np.isfinite(pressures).all()):
+            raise RefusedError("not finite")
+        if (pressures < 0.0).any():
+            raise RefusedError("a negative pressure")
+        inside = self.volume.contains(positions)
+        self.outside += int((~inside).sum())
+        wanted = inside & (pressures > 0.0)
+        return Datagram(
+            datagram.kind,
+            datagram.session,
+            datagram.sequence,
+            datagram.time,
+            datagram.modulation,
+            positions[wanted],
+            np.minimum(pressures[wanted], np.float32(self.limits.pressure)),
+        )
+
+
+def cap_drive(drive: NDArray[np.complexfloating], limit: float) -> NDArray[np.complex128]:
+    """A drive with no amplitude above a limit and the phases kept.
+
+    Args:
+        drive: Complex amplitudes, shape [T].
+        limit: The highest amplitude.
+
+    Raises:
+        ValueError: The drive is not finite.
+    """
+    if not np.isfinite(drive).all():
+        raise ValueError("the drive is not finite")
+    amplitude = np.abs(drive)
+    scale = np.minimum(1.0, limit / np.maximum(amplitude, 1e-30))
+    return np.asarray(drive * scale, np.complex128)
+
+
+class OnTime:
+    """Counts sound, and asks for a pause.
+
+    Sound adds to the count and silence takes away as much, so over a long time at most half of it is
+    sound; when the count reaches the limit there is silence for at least a twelfth of it (ten seconds
+    at the default).
+    """
+
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
+        self.spent = 0.0
+        """Sound that has not been paused for [s]."""
+        self._resting = False
+        self._time: float | None = None
+
+    def advance(self, now: float, *, emitting: bool) -> None:
+        """Count up to now.
+
+        Args:
+            now: The monotonic clock [s].
+            emitting: Whether there was sound since the last call.
+        """
+        passed = 0.0 if self._time is None else max(0.0, now - self._time)
+        self._time = now
+        self.spent = max(0.0, self.spent + (passed if emitting else -passed))
+        if self.spent >= self.limit:
+            self._resting = True
+        elif self.spent <= self.limit * (11.0 / 12.0):
+            self._resting = False
+
+    @property
+    def allowed(self) -> bool:
+        """Whether there may be sound."""
+        return not self._resting
+
+    @property
+    def left(self) -> float:
+        """Sound that is left [s]."""
+        return 0.0 if self._resting else max(0.0, self.limit - self.spent)
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number for JSON, which knows no infinity."""
+    return value if math.isfinite(value) else None
