@@ -1,4 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From contact forces to focal points on an ultrasound array. Never imports Blender."""
 
-__all__: list[str] = []
+from .acoustic_field import acoustic_field
+from .drive import solve_drive
+from .transducer_array import TransducerArray
+
+__all__ = ["TransducerArray", "acoustic_field", "solve_drive"]
