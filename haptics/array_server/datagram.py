@@ -25,7 +25,7 @@ import enum
 import json
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -91,9 +91,9 @@ class Datagram:
     """When it was sent, by the sender's monotonic clock [s]."""
     modulation: Modulation = Modulation.AMPLITUDE
     """How to modulate."""
-    positions: NDArray[np.float32] = np.zeros((0, 3), np.float32)  # noqa: RUF009
+    positions: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     """Focal points in the array's frame [m], shape [K, 3]."""
-    pressures: NDArray[np.float32] = np.zeros(0, np.float32)  # noqa: RUF009
+    pressures: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
     """Sound pressure amplitude at each [Pa], shape [K]."""
     table: dict[str, Any] | None = None
     """What the JSON said."""

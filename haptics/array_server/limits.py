@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..transducer_array import TransducerArray
 from .datagram import Datagram, DatagramError, Kind, decode
 
 STALE_AFTER = 0.150
@@ -48,36 +49,6 @@ class Limits:
                 raise ValueError(f"the {name} must be above 0 and at most {highest:g}, not {value}")
 
 
-@dataclass(frozen=True)
-class WorkingVolume:
-    """A box in the array's frame in which focal points may lie."""
-
-    low: tuple[float, float, float]
-    """Its lowest corner [m]."""
-    high: tuple[float, float, float]
-    """Its highest corner [m]."""
-
-    @classmethod
-    def above(cls, positions: NDArray[np.floating]) -> WorkingVolume:
-        """The volume over an array whose transducers face +z.
-
-        It reaches from 30 mm to 600 mm above the array, and 100 mm beyond its sides.
-
-        Args:
-            positions: Transducers [m], shape [T, 3].
-        """
-        low, high = np.min(positions, axis=0), np.max(positions, axis=0)
-        return cls(
-            (float(low[0]) - 0.1, float(low[1]) - 0.1, float(high[2]) + 0.03),
-            (float(high[0]) + 0.1, float(high[1]) + 0.1, float(high[2]) + 0.6),
-        )
-
-    def contains(self, points: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Which points [m], shape [K, 3], lie in it, shape [K]."""
-        inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
-        return inside
-
-
 class RefusedError(Exception):
     """A datagram is not let through; the message says why."""
 
@@ -86,16 +57,16 @@ class Gate:
     """Lets datagrams through that are whole, in order, fresh and of this session, and caps them.
 
     Args:
-        volume: Where focal points may lie.
+        array: In its own coordinates; focal points must lie in its working volume.
         limits: The caps.
         session: Number of the session that is listened to.
         maximum_foci: Most focal points that the device takes; more are refused.
     """
 
     def __init__(
-        self, volume: WorkingVolume, limits: Limits, *, session: int, maximum_foci: int
+        self, array: TransducerArray, limits: Limits, *, session: int, maximum_foci: int
     ) -> None:
-        self.volume = volume
+        self.array = array
         self.limits = limits
         self.session = session
         self.maximum_foci = maximum_foci
@@ -142,7 +113,7 @@ class Gate:
             raise RefusedError("not finite")
         if (pressures < 0.0).any():
             raise RefusedError("a negative pressure")
-        inside = self.volume.contains(positions)
+        inside = self.array.reaches(positions)
         self.outside += int((~inside).sum())
         wanted = inside & (pressures > 0.0)
         return Datagram(
@@ -156,20 +127,40 @@ class Gate:
         )
 
 
-def cap_drive(drive: NDArray[np.complexfloating], limit: float) -> NDArray[np.complex128]:
-    """A drive with no amplitude above a limit and the phases kept.
+def cap_drive(
+    array: TransducerArray, drive: NDArray[np.complexfloating], limit: float
+) -> NDArray[np.complex128]:
+    """A drive of which no amplitude, or for transducers without amplitudes not the mean, is above a cap.
 
     Args:
-        drive: Complex amplitudes, shape [T].
-        limit: The highest amplitude.
+        array: Whose drive it is.
+        drive: Complex amplitudes in 0 to 1, shape [T].
+        limit: The highest amplitude, above 0 and up to 1.
+
+    Returns:
+        A drive that the array has, with the phases kept.
 
     Raises:
-        ValueError: The drive is not finite.
+        ValueError: The drive is not finite, or not of this array.
     """
-    if not np.isfinite(drive).all():
-        raise ValueError("the drive is not finite")
+    if drive.shape != (array.count,) or not np.isfinite(drive).all():
+        raise ValueError("the drive is not finite, or not of this array")
     amplitude = np.abs(drive)
-    scale = np.minimum(1.0, limit / np.maximum(amplitude, 1e-30))
+    if array.amplitude_steps == 1:
+        on = np.flatnonzero(amplitude > 0.0)
+        most = int(limit * array.count)
+        capped = np.zeros(array.count, np.complex128)
+        # Those that stay on are spread over all that were.
+        kept = on if len(on) <= most else on[np.linspace(0, len(on) - 1, most).astype(int)]
+        capped[kept] = drive[kept] / amplitude[kept]
+        return capped
+    highest = limit
+    if array.amplitude_steps is not None:
+        steps = array.amplitude_steps
+        highest = math.sin(
+            math.pi / (2 * steps) * math.floor(2 * steps / math.pi * math.asin(limit) + 1e-9)
+        )
+    scale = np.minimum(1.0, highest / np.maximum(amplitude, 1e-30))
     return np.asarray(drive * scale, np.complex128)
 
 
@@ -213,7 +204,3 @@ class OnTime:
         """Sound that is left [s]."""
         return 0.0 if self._resting else max(0.0, self.limit - self.spent)
 
-
-def finite_or_none(value: float) -> float | None:
-    """A number for JSON, which knows no infinity."""
-    return value if math.isfinite(value) else None

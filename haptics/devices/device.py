@@ -11,6 +11,8 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..transducer_array import TransducerArray
+
 MODULATION_FREQUENCY = 200.0
 """Frequency at which sound goes on and off so that it is felt [Hz]."""
 
@@ -28,9 +30,13 @@ class Emission:
     pressures: NDArray[np.float32]
     """Pressure amplitude at each [Pa], shape [K]."""
     drive: NDArray[np.complex128]
-    """Amplitude in 0 to 1 and phase of each transducer, shape [T]; empty if `Device.takes_foci`."""
+    """What `solve_drive` found for them, shape [T]; empty if the device takes focal points."""
     modulated: bool = True
     """Whether it goes on and off at `MODULATION_FREQUENCY`."""
+    amplitude_cap: float = 1.0
+    """Highest amplitude, 0 to 1, which the drive obeys already."""
+    pressure_cap: float = 2000.0
+    """Highest pressure [Pa], which the pressures obey already."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +136,8 @@ class Device(ABC):
     until it is opened again.
     """
 
-    preset: ClassVar[str] = ""
-    """The array's preset, see `TransducerArray.preset`."""
+    array: TransducerArray
+    """Its transducers, in its own coordinates; what they emit is a `solve_drive` of this."""
     maximum_foci: ClassVar[int] = 32
     """Most focal points at a time."""
     takes_foci: ClassVar[bool] = False
@@ -143,8 +149,11 @@ class Device(ABC):
     """The drive that it holds as far as is known, after its quantisation, shape [T]; 0 is silence."""
 
     @abstractmethod
-    def open(self) -> None:
+    def open(self, now: float) -> None:
         """Connect and make silent; may be called again after an error.
+
+        Args:
+            now: The monotonic clock [s], here and below.
 
         Raises:
             DeviceError: It cannot be reached.
@@ -163,7 +172,7 @@ class Device(ABC):
             now: The monotonic clock [s].
 
         Returns:
-            When the last byte will have left, by the monotonic clock [s].
+            When it will sound, by the same clock [s].
 
         Raises:
             DeviceError: It is gone or does not take it.
@@ -189,41 +198,6 @@ class Device(ABC):
         return math.inf
 
     @abstractmethod
-    def close(self) -> None:
+    def close(self, now: float) -> None:
         """Make silent if that is possible, and let go of it; raises nothing."""
 
-
-def thin(
-    drive: NDArray[np.complexfloating], thresholds: NDArray[np.floating]
-) -> NDArray[np.bool_]:
-    """Which transducers of an array without amplitudes are on, so that the mean drive fits.
-
-    A focus of an array that can only be fully on is as loud as its transducers are many. So each is
-    on where its amplitude exceeds a threshold of its own; the thresholds are spread evenly over 0 to
-    1 in every part of the array, so that the sum over the array is right for any amplitude.
-
-    Args:
-        drive: Complex amplitudes in 0 to 1, shape [T].
-        thresholds: See `spread_thresholds`, shape [T].
-    """
-    on: NDArray[np.bool_] = np.abs(drive) > thresholds
-    return on
-
-
-def spread_thresholds(positions: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Thresholds in 0 to 1 for `thin`: neighbours get values far apart.
-
-    An additive recurrence with the plastic number's two ratios along both axes, ranked so that the
-    values are exactly uniform.
-
-    Args:
-        positions: Transducers [m], shape [T, 3].
-    """
-    plane = np.asarray(positions, np.float64)[:, :2]
-    pitch = np.min(np.linalg.norm(plane[1:] - plane[0], axis=1)) if len(plane) > 1 else 1.0
-    steps = np.round((plane - plane.min(axis=0)) / pitch)
-    values = np.mod(steps @ np.array([0.7548776662466927, 0.5698402909980532]), 1.0)
-    order = np.argsort(values, kind="stable")
-    thresholds = np.empty(len(plane))
-    thresholds[order] = (np.arange(len(plane)) + 0.5) / len(plane)
-    return thresholds

@@ -48,6 +48,23 @@ def list_ports(kind: str) -> list[FoundDevice]:
     ]
 
 
+def choose_port(kind: str, address: str) -> str:
+    """The port at an address, or the only one that is plugged in where none is given.
+
+    Raises:
+        DeviceError: None is given, and there is none or more than one.
+    """
+    if address:
+        return address
+    found = list_ports(kind)
+    if len(found) != 1:
+        names = ", ".join(device.name for device in found) or "none"
+        raise DeviceError(
+            f"Say which serial port the array is on, as {kind}:PORT. Plugged in: {names}."
+        )
+    return found[0].name.partition(":")[2]
+
+
 class SerialPort:
     """An open port, 8N1.
 
@@ -107,9 +124,20 @@ class SerialPort:
             # What the system still holds must not come out when the peer wakes up.
             self.discard(now)
             raise DeviceError(f"{self.path} takes no data ({_reason(error)}).") from error
-        # A write that had to wait has filled the wire meanwhile.
         self._free_at = max(self._free_at, now) + self.seconds_for(len(data))
-        return max(self._free_at, time.monotonic())
+        return self._free_at
+
+    def check(self) -> None:
+        """See whether the port is still there, and throw away what came.
+
+        Raises:
+            DeviceError: It is gone.
+        """
+        self.read()
+
+    def drain(self) -> None:
+        """Wait until what was written has left, no longer than a quarter of a second."""
+        time.sleep(min(0.25, self.pending(time.monotonic())))
 
     def read(self) -> bytes:
         """What has come, without waiting.

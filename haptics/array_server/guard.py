@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A second process that silences an array whose server was killed or hangs.
+
+Most open arrays have no watchdog: the last pattern sounds for ever. The server cannot silence them
+after a SIGKILL, so a guard waits beside it, in a session of its own. It does nothing until the server
+ends without saying so, or says for a second that there is sound and then nothing more. Then it kills
+what hangs, opens the device itself, which makes it silent, and ends.
+
+What this does not cover: both processes killed at once, the machine losing its power while the array
+keeps its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from typing import BinaryIO
+
+from ..devices import DeviceError, make_device
+from .launch import start_process
+
+_HANGS_AFTER = 1.0
+"""A server that has sound on and is not heard of for this long hangs [s]."""
+_TRIES_FOR = 10.0
+"""How long the guard tries to reach the device [s]: an adapter may be plugged in again."""
+_SOUND, _SILENCE, _END = b"E", b"S", b"Q"
+
+
+class Guard:
+    """The server's end of it.
+
+    Args:
+        device: Name of the device to guard.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._process = start_process(
+            "guard", [device, str(os.getpid())], stdout=subprocess.DEVNULL
+        )
+
+    def beat(self, *, emitting: bool) -> None:
+        """Say that all is well; call it at least every 0.3 s."""
+        self._write(_SOUND if emitting else _SILENCE)
+
+    def end(self, *, silent: bool) -> None:
+        """Let it end; with sound left, it does its work first."""
+        if silent:
+            self._write(_END)
+        with contextlib.suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        if silent:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(2.0)
+
+    def _write(self, byte: bytes) -> None:
+        # A guard that somebody killed is a pity, and no reason to stop.
+        with contextlib.suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.write(byte)
+                self._process.stdin.flush()
+
+
+def wait_for_trouble(stream: BinaryIO, hangs_after: float = _HANGS_AFTER) -> str:
+    """Listen to the server.
+
+    Args:
+        stream: What it writes.
+        hangs_after: With sound on, a pause longer than this [s] is trouble.
+
+    Returns:
+        ``ended`` if it ended as it should, ``gone`` if it did not, ``hangs`` if it is not heard of.
+    """
+    heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+
+    def listen() -> None:
+        while True:
+            byte = stream.read(1)
+            heard.put(byte)
+            if not byte:
+                return
+
+    threading.Thread(target=listen, daemon=True).start()
+    last = _SILENCE
+    while True:
+        try:
+            byte = heard.get(timeout=hangs_after if last == _SOUND else None)
+        except queue.Empty:
+            return "hangs"
+        if not byte:
+            return "ended" if last == _END else "gone"
+        last = byte
+
+
+def silence(device: str, *, tries_for: float = _TRIES_FOR) -> bool:
+    """Open a device and close it, which makes it silent, again and again until that has worked.
+
+    Returns:
+        Whether it has.
+    """
+    end = time.monotonic() + tries_for
+    while True:
+        try:
+            opened = make_device(device)
+            opened.open(time.monotonic())
+        except DeviceError:
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.02)
+        else:
+            opened.close(time.monotonic())
+            return True
+
+
+def main(argv: Sequence[str]) -> int:
+    """Guard the server that started this process; the words are the device and its process id."""
+    device, parent = argv[0], int(argv[1])
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    # Whatever must be imported is imported now, while there is time.
+    make_device(device)
+    trouble = wait_for_trouble(sys.stdin.buffer)
+    if trouble == "ended":
+        return 0
+    if trouble == "hangs":
+        with contextlib.suppress(OSError):
+            os.kill(parent, getattr(signal, "SIGKILL", signal.SIGTERM))
+    if silence(device):
+        print(f"array-server: its guard has silenced {device}", file=sys.stderr)
+        return 0
+    print(
+        f"array-server: {device} cannot be reached and may still sound. Switch its power off.",
+        file=sys.stderr,
+    )
+    return 1
