@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -83,7 +84,7 @@ class SerialPort:
         module = load_pyserial()
         self.path = path
         self.baud = baud
-        self._errors = (module.SerialException, OSError)
+        self._errors = _port_errors(module)
         self._free_at = 0.0
         try:
             port = module.serial_for_url(path, do_not_open=True)
@@ -153,17 +154,23 @@ class SerialPort:
     def discard(self, now: float) -> None:
         """Throw away what was written and has not left."""
         self._free_at = now
-        try:
+        with contextlib.suppress(*self._errors):
             self._port.reset_output_buffer()
-        except self._errors:
-            pass
 
     def close(self) -> None:
         """Let go of the port; raises nothing."""
-        try:
+        with contextlib.suppress(*self._errors):
             self._port.close()
-        except self._errors:
-            pass
+
+
+def _port_errors(module: Any) -> tuple[type[Exception], ...]:
+    errors: tuple[type[Exception], ...] = (module.SerialException, OSError)
+    # What pyserial lets through when a terminal goes away is none of these.
+    with contextlib.suppress(ImportError):
+        import termios
+
+        errors = (*errors, termios.error)
+    return errors
 
 
 def _reason(error: Exception) -> str:

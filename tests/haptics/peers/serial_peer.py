@@ -7,6 +7,7 @@ On its standard input it takes a word a line and answers each with a line of JSO
     state    what the board holds now, and when it began and ceased to sound
     stall    read no more        resume  read again
     reboot   power off and on    hangup  pull the plug (the pty closes)
+    replug   put it in again (a new pty)
 """
 
 from __future__ import annotations
@@ -39,18 +40,19 @@ class Board(Protocol):
 
 def serve(board: Board, bytes_a_second: float) -> None:
     """Be that board until the standard input ends."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
+    master, slave = _plug_in()
     print(json.dumps({"port": os.ttyname(slave)}), flush=True)
     changes = [(time.monotonic(), board.sounds())]
     read, stalled, plugged = 0, False, True
     budget, last = 0.0, time.monotonic()
     longest = max(1.0, bytes_a_second * 0.004)
+    held_up = 0.0
     while True:
         listening = [0] + ([master] if plugged and not stalled and budget >= 1.0 else [])
         ready, _, _ = select.select(listening, [], [], 0.001)
         now = time.monotonic()
+        # A machine that is busy with other things keeps this process waiting, and others too.
+        held_up += max(0.0, now - last - 0.02)
         budget, last = min(longest, budget + (now - last) * bytes_a_second), now
         if master in ready:
             with contextlib.suppress(BlockingIOError):
@@ -76,14 +78,26 @@ def serve(board: Board, bytes_a_second: float) -> None:
                     os.close(slave)
                     os.close(master)
                     plugged = False
+                elif word == "replug":
+                    master, slave = _plug_in()
+                    plugged = True
                 elif word in ("stall", "resume"):
                     stalled = word == "stall"
                 answer_line = {
                     "time": now,
                     "read": read,
+                    "held_up": held_up,
+                    "port": os.ttyname(slave) if plugged else "",
                     "sounds": board.sounds(),
                     "changes": changes[-400:],
                     **board.state(),
                 }
                 print(json.dumps(answer_line), flush=True)
 
+
+
+def _plug_in() -> tuple[int, int]:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    return master, slave

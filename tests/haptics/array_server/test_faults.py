@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whatever happens to client, server or wire, an array that never stops by itself is made silent."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactile_clay.haptics import ArrayClient
+from tactile_clay.tests.haptics.peers.harness import (
+    OFF_WITHIN,
+    PATIENCE,
+    TWO_FOCI,
+    Peer,
+    keep_sending,
+    peer,
+)
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
+
+
+@pytest.fixture(params=["stock", "tactile"])
+def board(request: pytest.FixtureRequest) -> Iterator[Peer]:
+    """A SonicSurface, with either firmware."""
+    with peer("sonicsurface_peer", request.param, "1") as started:
+        started.firmware = request.param  # type: ignore[attr-defined]
+        yield started
+
+
+@pytest.fixture
+def stock() -> Iterator[Peer]:
+    """A SonicSurface that powers up with sound."""
+    with peer("sonicsurface_peer", "stock", "1") as started:
+        started.firmware = "stock"  # type: ignore[attr-defined]
+        yield started
+
+
+def name_of(board: Peer, port: str = "") -> str:
+    """The board as a device."""
+    firmware = board.firmware  # type: ignore[attr-defined]
+    return f"sonicsurface:{port or board.first['port']},firmware={firmware}"
+
+
+def sound(out: ArrayClient, board: Peer) -> None:
+    """Send until the board sounds with what was sent."""
+    keep_sending(out, TWO_FOCI, lambda: out.status().frames_per_second > 3, "frames")
+    keep_sending(out, TWO_FOCI, lambda: board.ask("state")["sounds"], "sound")
+
+
+def silenced(board: Peer, since: float, limit: float = OFF_WITHIN) -> dict[str, Any]:
+    """Wait for lasting silence, and check that it came in time.
+
+    What the board itself was kept waiting by the machine is not counted.
+    """
+    before = board.ask("state")["held_up"]
+    state = board.wait(
+        lambda state: not state["sounds"] and state["time"] > since + limit + 0.1, "silence"
+    )
+    late = state["changes"][-1][0] - since
+    assert late <= limit + (state["held_up"] - before), f"silent after {late * 1e3:.0f} ms"
+    return state
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        lambda out: None,
+        lambda out: out.silence(),
+        lambda out: out.close(),
+        lambda out: out.process.send_signal(signal.SIGTERM),
+        lambda out: out.process.send_signal(signal.SIGINT),
+        lambda out: out.process.stdin.close(),
+        lambda out: out.process.kill(),
+    ],
+    ids=["data stop", "no foci", "close", "SIGTERM", "SIGINT", "lost client", "SIGKILL"],
+)
+def test_sound_ends(board: Peer, end: Callable[[ArrayClient], None]) -> None:
+    """Be silent within 250 ms of the last data, of a signal, and of the server's own death."""
+    with ArrayClient.start(name_of(board)) as out:
+        sound(out, board)
+        since = time.monotonic()
+        end(out)
+        silenced(board, since)
+
+
+def test_sound_ends_when_the_client_is_killed(board: Peer) -> None:
+    """Be silent within 250 ms of the SIGKILL of the process that sends, and end the server."""
+    client = Peer("lonely_client", name_of(board))
+    board.wait(lambda state: state["sounds"] and state["swaps"] > 20, "sound")
+    since = time.monotonic()
+    client.process.kill()
+    silenced(board, since)
+    client.close()
+    end = time.monotonic() + PATIENCE
+    while Path(f"/proc/{client.first['server']}").exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not Path(f"/proc/{client.first['server']}").exists()
+
+
+def test_sound_ends_when_the_server_hangs(stock: Peer) -> None:
+    """Let the guard kill a server that is stopped with sound on, and silence the array."""
+    with ArrayClient.start(name_of(stock)) as out:
+        sound(out, stock)
+        since = time.monotonic()
+        assert out.process
+        out.process.send_signal(signal.SIGSTOP)
+        silenced(stock, since, limit=1.5)
+        assert out.process.wait(PATIENCE) == -signal.SIGKILL
+
+
+def test_a_board_that_reboots_is_silenced(stock: Peer) -> None:
+    """Silence a board that powers up with sound while nothing is sent, within 250 ms."""
+    with ArrayClient.start(name_of(stock)):
+        stock.wait(lambda state: not state["sounds"], "silence")
+        since = stock.ask("reboot")["time"]
+        silenced(stock, since)
+
+
+def test_a_board_that_reboots_with_sound_on_gets_its_silent_half_back(stock: Peer) -> None:
+    """Write the silence between two bursts anew, which a reboot has replaced by sound."""
+    with ArrayClient.start(name_of(stock)) as out:
+        sound(out, stock)
+        stock.ask("reboot")
+        keep_sending(
+            out,
+            TWO_FOCI,
+            lambda: {32} in [set(s) for s in map(stock.ask("state").get, ("pattern", "hidden"))],
+            "silence between bursts",
+        )
+        since = time.monotonic()
+        silenced(stock, since)
+
+
+def test_unplugging_is_survived(stock: Peer, tmp_path: Path) -> None:
+    """Say that the port is gone, live on, and silence the array when it is plugged in again."""
+    link = tmp_path / "port"
+    link.symlink_to(stock.first["port"])
+    with ArrayClient.start(name_of(stock, str(link))) as out:
+        sound(out, stock)
+        stock.ask("hangup")
+        keep_sending(out, TWO_FOCI, lambda: not out.status().connected, "a lost port")
+        assert "port" in out.status().fault
+        assert out.status().emitting
+        link.unlink()
+        link.symlink_to(stock.ask("replug")["port"])
+        stock.wait(lambda state: not state["sounds"], "silence")
+        sound(out, stock)
+        assert out.status(wait=0.5).fault == ""
+
+
+def test_a_peer_that_stalls_is_given_up(stock: Peer) -> None:
+    """Give up a port that takes nothing, and leave no sound in its buffers for later."""
+    with ArrayClient.start(name_of(stock)) as out:
+        sound(out, stock)
+        stock.ask("stall")
+        keep_sending(out, TWO_FOCI, lambda: not out.status().connected, "a write timeout")
+        assert "takes no data" in out.status().fault
+        last = time.monotonic()
+        while out.status(wait=0.1).heard and time.monotonic() < last + 0.4:
+            pass
+        since = stock.ask("resume")["time"]
+        silenced(stock, since)
+        sound(out, stock)
+
+
+def test_half_a_frame_does_not_matter(stock: Peer) -> None:
+    """Silence a board that was left in the middle of a frame, with another board selected."""
+    port = os.open(stock.first["port"], os.O_WRONLY | os.O_NOCTTY)
+    os.write(port, bytes([0xFE]) + bytes(100) + bytes([0xC1]))
+    stock.wait(lambda state: state["read"] == 102, "half a frame")
+    os.close(port)
+    with ArrayClient.start(name_of(stock)) as out:
+        state = stock.wait(lambda state: not state["sounds"], "silence")
+        assert set(state["pattern"]) == {32}
+        sound(out, stock)
+
+
+def test_a_second_server_is_kept_out(stock: Peer) -> None:
+    """Refuse a port that another process drives, and say so."""
+    with ArrayClient.start(name_of(stock)) as out:
+        sound(out, stock)
+        with ArrayClient.start(name_of(stock)) as other:
+            end = time.monotonic() + PATIENCE
+            while not other.status(wait=0.2).fault and time.monotonic() < end:
+                other.hello()
+            assert "cannot be opened" in other.status().fault
+            assert not other.status().connected
+
+
+def test_the_guard_does_nothing_after_an_orderly_end(stock: Peer) -> None:
+    """Leave the port alone once the server has ended as it should."""
+    with ArrayClient.start(name_of(stock)) as out:
+        sound(out, stock)
+    silenced(stock, time.monotonic())
+    read = stock.ask("state")["read"]
+    time.sleep(0.3)
+    assert stock.ask("state")["read"] == read
+    listed = subprocess.run(["ps", "-ef"], capture_output=True, text=True, check=True).stdout
+    assert f"guard {name_of(stock)}" not in listed
