@@ -67,6 +67,8 @@ class ArrayStatus:
     """Median time from sending focal points to their last byte leaving for the device [s]."""
     latency_p99: float | None = None
     """99th percentile of it [s]."""
+    losses: int = 0
+    """How often the device was lost so far."""
     dropped: int = 0
     """Focal points that newer ones replaced before the device was free, in datagrams."""
     refused: dict[str, int] = field(default_factory=dict)

@@ -186,7 +186,8 @@ class OnTime:
             now: The monotonic clock [s].
             emitting: Whether there was sound since the last call.
         """
-        passed = 0.0 if self._time is None else max(0.0, now - self._time)
+        # A machine that slept counts for a second: nobody knows whether there was sound.
+        passed = 0.0 if self._time is None else min(1.0, max(0.0, now - self._time))
         self._time = now
         self.spent = max(0.0, self.spent + (passed if emitting else -passed))
         if self.spent >= self.limit:

@@ -24,6 +24,8 @@ _LONGEST_WAIT = 0.05
 """The loop looks around at least this often [s]."""
 _STATUS_EVERY = 0.1
 _RECONNECT_EVERY = 0.25
+_FAULT_SHOWN = 1.0
+"""What was wrong and is no longer is still told for this long [s]."""
 _MOST_AT_ONCE = 1000
 """Datagrams read in one go: a flood must not keep the loop from its other duties."""
 
@@ -89,6 +91,8 @@ class ArrayServer:
         self._service_at = -math.inf
         self._status_at = -math.inf
         self._sequence = 0
+        self._losses = 0
+        self._lost_at = -math.inf
         self._dropped = 0
         self._refused: dict[str, int] = {}
         self._frames: deque[float] = deque(maxlen=4096)
@@ -168,6 +172,7 @@ class ArrayServer:
             self._newest = None
             self._waiting = False
             self._connect_at = self._service_at = self._status_at = self._guard_at = now
+            self._lost_at = now
             self.fault = "The clock went back."
             if self.connected and self.emitting:
                 self._silence(now)
@@ -216,12 +221,14 @@ class ArrayServer:
             self.device.close(now)
             return
         # Opening may take a while: what came in before is judged anew.
-        self.connected, self.emitting, self.fault = True, False, ""
+        self.connected, self.emitting = True, False
         self._service_at = self._status_at = now
 
     def _lose(self, now: float, error: Exception) -> None:
         self.connected = False
         self.fault = str(error)
+        self._losses += 1
+        self._lost_at = now
         self._foci = 0
         self._connect_at = now
         self._status_at = now
@@ -252,7 +259,7 @@ class ArrayServer:
                 self._silence(now)
         if not self.on_time.allowed:
             self.fault = "The on-time limit is reached: a pause."
-        elif self.fault.startswith(("The on-time", "The clock")) and self.connected:
+        elif self.connected and now - self._lost_at > _FAULT_SHOWN:
             self.fault = ""
 
     def _work(self, now: float) -> None:
@@ -275,7 +282,7 @@ class ArrayServer:
                 drive = solve_drive(array, newest.positions, newest.pressures)
                 drive = cap_drive(array, drive, self.limits.amplitude)
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-                self.fault = f"No drive was found ({error})."
+                self.fault, self._lost_at = f"No drive was found ({error}).", now
                 self._newest = None
                 if self.emitting:
                     self._silence(now)
@@ -310,6 +317,7 @@ class ArrayServer:
             "frames_per_second": len(self._frames),
             "latency": _or_none(float(np.median(latencies))),
             "latency_p99": _or_none(float(np.percentile(latencies, 99.0))),
+            "losses": self._losses,
             "dropped": self._dropped,
             "refused": self._refused,
             "outside": self.gate.outside,

@@ -150,8 +150,8 @@ def test_unplugging_is_survived(stock: Peer, tmp_path: Path) -> None:
         link.unlink()
         link.symlink_to(stock.ask("replug")["port"])
         stock.wait(lambda state: not state["sounds"], "silence")
+        assert out.status(wait=0.5).losses > 0
         sound(out, stock)
-        assert out.status(wait=0.5).fault == ""
 
 
 def test_a_peer_that_stalls_is_given_up(stock: Peer) -> None:
@@ -159,11 +159,9 @@ def test_a_peer_that_stalls_is_given_up(stock: Peer) -> None:
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
         stock.ask("stall")
-        keep_sending(out, TWO_FOCI, lambda: not out.status().connected, "a write timeout")
+        keep_sending(out, TWO_FOCI, lambda: out.status().losses > 0, "a write timeout")
         assert "takes no data" in out.status().fault
-        last = time.monotonic()
-        while out.status(wait=0.1).heard and time.monotonic() < last + 0.4:
-            pass
+        time.sleep(0.3)
         since = stock.ask("resume")["time"]
         silenced(stock, since)
         sound(out, stock)
