@@ -204,4 +204,3 @@ class OnTime:
     def left(self) -> float:
         """Sound that is left [s]."""
         return 0.0 if self._resting else max(0.0, self.limit - self.spent)
-

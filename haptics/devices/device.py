@@ -200,4 +200,3 @@ class Device(ABC):
     @abstractmethod
     def close(self, now: float) -> None:
         """Make silent if that is possible, and let go of it; raises nothing."""
-

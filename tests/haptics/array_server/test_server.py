@@ -129,7 +129,9 @@ def test_caps_hold_whatever_is_asked_for() -> None:
         started.close()
 
 
-@pytest.mark.parametrize("values", [(0.0, 1.0, 1.0), (1.1, 1.0, 1.0), (1.0, 2001.0, 1.0), (1.0, 1.0, 121.0)])
+@pytest.mark.parametrize(
+    "values", [(0.0, 1.0, 1.0), (1.1, 1.0, 1.0), (1.0, 2001.0, 1.0), (1.0, 1.0, 121.0)]
+)
 def test_caps_can_only_be_lowered(values: tuple[float, float, float]) -> None:
     """Refuse caps above the built-in ones, and of nothing."""
     with pytest.raises(ValueError, match="at most"):

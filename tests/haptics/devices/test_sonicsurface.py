@@ -29,10 +29,16 @@ def surface() -> TransducerArray:
     places = np.zeros((256, 3))
     for column in range(16):
         for row in range(16):
-            index = 64 * (column // 4) + 8 * (row // 2) + [[0, 7, 1, 2], [4, 3, 6, 5]][row % 2][column % 4]
+            index = (
+                64 * (column // 4)
+                + 8 * (row // 2)
+                + [[0, 7, 1, 2], [4, 3, 6, 5]][row % 2][column % 4]
+            )
             x, z = (column - 7.5) * 0.0105, (7.5 - row) * 0.0105
             places[index] = (x, -z, 0.0)
-    return replace(TransducerArray.preset("sonicsurface"), positions=places, phase_offsets=np.zeros(256))
+    return replace(
+        TransducerArray.preset("sonicsurface"), positions=places, phase_offsets=np.zeros(256)
+    )
 
 
 def emitted(pattern: list[int]) -> NDArray[np.complex128]:

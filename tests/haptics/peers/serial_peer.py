@@ -16,7 +16,6 @@ import contextlib
 import json
 import os
 import select
-import sys
 import time
 import tty
 from typing import Any, Protocol
@@ -93,7 +92,6 @@ def serve(board: Board, bytes_a_second: float) -> None:
                     **board.state(),
                 }
                 print(json.dumps(answer_line), flush=True)
-
 
 
 def _plug_in() -> tuple[int, int]:

@@ -84,7 +84,9 @@ class SonicSurface:
     def state(self) -> dict[str, Any]:
         return {
             "pattern": self.pattern(),
-            "hidden": [phase for b in self.boards for phase in b.previous[: 256 // len(self.boards)]],
+            "hidden": [
+                phase for b in self.boards for phase in b.previous[: 256 // len(self.boards)]
+            ],
             "modulation": 1250.0 / (self.boards[0].step + 1) if self.tactile else None,
             "swaps": self.boards[0].swaps,
         }
