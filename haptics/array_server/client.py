@@ -84,8 +84,8 @@ class ArrayStatus:
 class ArrayClient:
     """Sends focal points to an array server on this machine.
 
-    The server makes the array silent when it has got nothing for 150 ms: send every frame, also when
-    nothing has changed. No method waits for the server but those that say so.
+    The server makes the array silent when it has got nothing for 150 ms: send every frame, also
+    when nothing has changed. No method waits for the server but those that say so.
 
     Example:
         >>> with ArrayClient.start("simulated") as out:
@@ -191,8 +191,9 @@ class ArrayClient:
         """Send focal points; none of them, or pressures of 0, mean silence.
 
         Args:
-            foci: Anything with positions in world coordinates [m], shape [K, 3], and pressures [Pa],
-                shape [K]; those that are not finite are left out, and of too many the strongest stay.
+            foci: Anything with positions in world coordinates [m], shape [K, 3], and pressures
+                [Pa], shape [K]; those that are not finite are left out, and of too many the
+                strongest stay.
             modulation: How to make them felt.
             time: When the contact forces were taken, by `time.monotonic` [s]; now if not given.
         """
@@ -280,11 +281,9 @@ class ArrayClient:
             time=_clock() if time is None else time,
             **values,
         )
-        try:
+        # Nobody listens, or the system is out of buffers: status says so.
+        with contextlib.suppress(BlockingIOError, ConnectionError):
             self._socket.sendto(data, ("127.0.0.1", self.port))
-        except (BlockingIOError, ConnectionError):
-            # Nobody listens, or the system is out of buffers: status says so.
-            pass
 
     def _read(self, wait: float, until: Kind) -> None:
         end = time.monotonic() + wait

@@ -30,8 +30,8 @@ devices:
   autd3[:ADDRESS]               an Ethernet interface, or HOST:PORT of its simulator
   stratos_explore:BRIDGE        the bridge program, built against your SDK
 
-Sound is off unless focal points come in that are fresh (150 ms), inside the array's working volume and
-within the caps, which can only be lowered. Only programs on this machine can reach the server.
+Sound is off unless focal points come in that are fresh (150 ms), inside the array's working volume
+and within the caps, which can only be lowered. Only programs on this machine can reach the server.
 """
 
 
@@ -98,8 +98,8 @@ def carry_out(arguments: argparse.Namespace) -> int:
     """
     if arguments.list:
         found, problems = list_devices()
-        for device in found:
-            print(f"{device.name:<40}  {device.description}")
+        for plugged in found:
+            print(f"{plugged.name:<40}  {plugged.description}")
         for problem in problems:
             print(f"array-server: {problem}", file=sys.stderr)
         if not found:
@@ -142,8 +142,8 @@ def carry_out(arguments: argparse.Namespace) -> int:
     server.run()
     if server.emitting:
         print(
-            f"array-server: {arguments.device} could not be silenced ({server.fault}) and may still "
-            "sound. Switch its power off.",
+            f"array-server: {arguments.device} could not be silenced ({server.fault}) and may "
+            "still sound. Switch its power off.",
             file=sys.stderr,
         )
         return _EXIT_FAILED

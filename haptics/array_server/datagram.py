@@ -76,7 +76,8 @@ class DatagramError(ValueError):
 
 @dataclass(frozen=True)
 class Datagram:
-    """A datagram that is whole and well formed; whether it is fresh and allowed is not its business.
+    """A datagram that is whole and well formed; whether it is fresh and allowed is not its
+    business.
 
     The time and the session are the sender's word.
     """

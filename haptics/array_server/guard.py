@@ -2,12 +2,12 @@
 """A second process that silences an array whose server was killed or hangs.
 
 Most open arrays have no watchdog: the last pattern sounds for ever. The server cannot silence them
-after a SIGKILL, so a guard waits beside it, in a session of its own. It does nothing until the server
-ends without saying so, or says for a second that there is sound and then nothing more. Then it kills
-what hangs, opens the device itself, which makes it silent, and ends.
+after a SIGKILL, so a guard waits beside it, in a session of its own. It does nothing until the
+server ends without saying so, or says for a second that there is sound and then nothing more. Then
+it kills what hangs, opens the device itself, which makes it silent, and ends.
 
-What this does not cover: both processes killed at once, the machine losing its power while the array
-keeps its own.
+What this does not cover: both processes killed at once, the machine losing its power while the
+array keeps its own.
 """
 
 from __future__ import annotations

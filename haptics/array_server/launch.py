@@ -42,7 +42,8 @@ def start_process(
         stdin=subprocess.PIPE,
         stdout=stdout,
         env=os.environ | {"PYTHONPATH": path},
-        # A Ctrl-C in the terminal is for the one that was started there, which then tells the others.
+        # A Ctrl-C in the terminal is for the one that was started there, which then tells the
+        # others.
         start_new_session=True,
     )
 

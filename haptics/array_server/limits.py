@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What no message can lift: which focal points are let through, how loud and for how long.
 
-Guidelines on airborne ultrasound (75 dB below 20 kHz, 110 dB at 25 to 50 kHz) lack a solid basis, and
-devices in trade were measured above them (10.24425/aoa.2024.148795). So pressure, drive and time are
-capped whatever is asked for. These caps are engineering choices, not a medical clearance.
+Guidelines on airborne ultrasound (75 dB below 20 kHz, 110 dB at 25 to 50 kHz) lack a solid basis,
+and devices in trade were measured above them (10.24425/aoa.2024.148795). So pressure, drive and
+time are capped whatever is asked for. These caps are engineering choices, not a medical clearance.
 """
 
 from __future__ import annotations
@@ -130,7 +130,8 @@ class Gate:
 def cap_drive(
     array: TransducerArray, drive: NDArray[np.complexfloating], limit: float
 ) -> NDArray[np.complex128]:
-    """A drive of which no amplitude, or for transducers without amplitudes not the mean, is above a cap.
+    """A drive of which no amplitude, or for transducers without amplitudes not the mean, is above
+    a cap.
 
     Args:
         array: Whose drive it is.
@@ -167,9 +168,9 @@ def cap_drive(
 class OnTime:
     """Counts sound, and asks for a pause.
 
-    Sound adds to the count and silence takes away as much, so over a long time at most half of it is
-    sound; when the count reaches the limit there is silence for at least a twelfth of it (ten seconds
-    at the default).
+    Sound adds to the count and silence takes away as much, so over a long time at most half of it
+    is sound; when the count reaches the limit there is silence for at least a twelfth of it (ten
+    seconds at the default).
     """
 
     def __init__(self, limit: float) -> None:

@@ -34,8 +34,8 @@ class ArrayServer:
     """Listens on loopback, and drives one device.
 
     Only the newest focal points count: what comes in while the device is busy replaces what has not
-    been sent. The device is silent unless the newest focal points that `Gate` let through are fresh and
-    `OnTime` allows sound; whatever goes wrong, it is made silent first.
+    been sent. The device is silent unless the newest focal points that `Gate` let through are
+    fresh and `OnTime` allows sound; whatever goes wrong, it is made silent first.
 
     Args:
         device: The device, not yet open.
@@ -73,7 +73,7 @@ class ArrayServer:
         """Set to end `run`."""
         self.connected = False
         self.emitting = False
-        """Whether the device was last told to sound; unknown, and so kept, while not `connected`."""
+        """Whether the device was last told to sound; kept, as unknown, while not `connected`."""
         self.fault = ""
         """What is wrong, for people."""
         self._clock = clock
@@ -131,7 +131,7 @@ class ArrayServer:
             self._report(now)
 
     def close(self) -> None:
-        """Silence the device, and let go of all; keep trying for a second where it cannot be reached."""
+        """Silence the device, trying for a second where it cannot be reached, and let go of all."""
         if self.connected and self.emitting:
             self._silence(self._look_at_clock())
         end = time.monotonic() + 1.0
@@ -149,7 +149,7 @@ class ArrayServer:
         if self._guard is not None:
             self._guard.end(silent=silent)
 
-    # What comes in ---------------------------------------------------------------------------------
+    # What comes in --------------------------------------------------------------------------------
 
     def _wait(self, longest: float) -> None:
         now = self._clock()
@@ -208,7 +208,7 @@ class ArrayServer:
                 self._newest, self._waiting = None, False
                 self.stopping = True
 
-    # What goes out ---------------------------------------------------------------------------------
+    # What goes out --------------------------------------------------------------------------------
 
     def _connect(self, now: float) -> None:
         if self.connected or now < self._connect_at:
@@ -302,7 +302,7 @@ class ArrayServer:
         self._frames.append(now)
         self._latencies.append(sounds_at - newest.time)
 
-    # What is said about it -------------------------------------------------------------------------
+    # What is said about it ------------------------------------------------------------------------
 
     def status(self, now: float) -> dict[str, Any]:
         """How it goes, see `ArrayStatus`."""

@@ -9,17 +9,17 @@ from .device import Device, DeviceError, DeviceName, Emission, FoundDevice
 
 __all__ = ["Device", "DeviceError", "DeviceName", "Emission", "FoundDevice", "make_device"]
 
-_CLASSES = {
+_MAKERS = {
     "simulated": ("simulated", "DeviceSimulated"),
     "sonicsurface": ("sonicsurface", "DeviceSonicSurface"),
-    "ultraino": ("ultraino", "DeviceUltraino"),
+    "ultraino": ("ultraino", "choose_board"),
     "openmpd": ("openmpd", "DeviceOpenMPD"),
     "autd3": ("autd3", "DeviceAUTD3"),
     "stratos_explore": ("stratos_explore", "DeviceStratosExplore"),
 }
-"""Module and class of each kind: a module is imported only when its device is asked for."""
+"""Module of each kind, imported only when asked for, and what makes its device."""
 
-DEVICE_KINDS = tuple(_CLASSES)
+DEVICE_KINDS = tuple(_MAKERS)
 """Kinds of device, as the first word of a `DeviceName`."""
 
 
@@ -33,10 +33,10 @@ def make_device(name: DeviceName | str) -> Device:
         DeviceError: There is no such kind, or an option is wrong.
     """
     name = DeviceName.parse(name) if isinstance(name, str) else name
-    if name.kind not in _CLASSES:
+    if name.kind not in _MAKERS:
         raise DeviceError(
             f"There is no device {name.kind!r}. There are: {', '.join(DEVICE_KINDS)}."
         )
-    module, cls = _CLASSES[name.kind]
-    device: Device = getattr(importlib.import_module(f".{module}", __package__), cls)(name)
+    module, maker = _MAKERS[name.kind]
+    device: Device = getattr(importlib.import_module(f".{module}", __package__), maker)(name)
     return device

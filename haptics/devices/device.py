@@ -132,8 +132,8 @@ class Device(ABC):
     """An ultrasound array, used by one thread.
 
     Sound off is its resting state: `open` ends with silence, whatever the array did before, and so
-    do `off` and `close`. After any `DeviceError` but those of `open`, what the array does is unknown
-    until it is opened again.
+    do `off` and `close`. After any `DeviceError` but those of `open`, what the array does is
+    unknown until it is opened again.
     """
 
     array: TransducerArray
@@ -146,7 +146,7 @@ class Device(ABC):
     """Whether it falls silent by itself when the server is gone."""
 
     held: NDArray[np.complex128] = np.zeros(0, np.complex128)
-    """The drive that it holds as far as is known, after its quantisation, shape [T]; 0 is silence."""
+    """The drive that it holds as far as is known, after quantisation, shape [T]; 0 is silence."""
 
     @abstractmethod
     def open(self, now: float) -> None:

@@ -84,7 +84,7 @@ class SerialPort:
         module = load_pyserial()
         self.path = path
         self.baud = baud
-        self._errors = _port_errors(module)
+        self._errors: tuple[type[Exception], ...] = _port_errors(module)
         self._free_at = 0.0
         try:
             port = module.serial_for_url(path, do_not_open=True)
@@ -95,7 +95,7 @@ class SerialPort:
                 # Two processes that write to one array make a mess of its frames.
                 port.exclusive = True
             port.open()
-        except (*self._errors, ValueError) as error:
+        except self._errors as error:
             raise DeviceError(
                 f"{path} cannot be opened ({_reason(error)}). Is the array plugged in, may you use "
                 "the port, and does no other program hold it? See array-server --list."
@@ -164,7 +164,7 @@ class SerialPort:
 
 
 def _port_errors(module: Any) -> tuple[type[Exception], ...]:
-    errors: tuple[type[Exception], ...] = (module.SerialException, OSError)
+    errors: tuple[type[Exception], ...] = (module.SerialException, OSError, ValueError)
     # What pyserial lets through when a terminal goes away is none of these.
     with contextlib.suppress(ImportError):
         import termios

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An array that is not there: it takes as long as the real one, keeps its drive, and can be listened to."""
+"""An array that is not there: as slow as the real one, it keeps its drive and can be heard."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FRAME_SECONDS = {
 
 
 class DeviceSimulated(Device):
-    """``simulated`` or ``simulated:PRESET``: an array of a preset, a SonicSurface where not said."""
+    """``simulated`` or ``simulated:PRESET``: an array of a preset, a SonicSurface if not said."""
 
     def __init__(self, name: DeviceName) -> None:
         name.check_options()

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ultraleap STRATOS Explore, through a bridge program that people build against their own SDK.
 
-The SDK is closed and has no Python binding, so ``bridge.cpp`` beside this file hands focal points on
-to it, and CMakeLists.txt tells how to build it with SDK 2 or 3. The SDK computes the drive. Its
-intensity, 0 to 1, is in no unit: here it is the pressure over a full scale. Compiled and tried against
-headers written from the SDK's description, never with the SDK or a device.
+The SDK is closed and has no Python binding, so ``bridge.cpp`` beside this file hands focal points
+on to it, and CMakeLists.txt tells how to build it with SDK 2 or 3. The SDK computes the drive. Its
+intensity, 0 to 1, is in no unit: here it is the pressure over a full scale. Compiled and tried
+against headers written from the SDK's description, never with the SDK or a device.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _KEEP_ALIVE = 0.05
 class DeviceStratosExplore(Device):
     """``stratos_explore:BRIDGE,full=PA``: the path of the bridge, and the pressure of intensity 1.
 
-    The bridge is a watchdog: it stops the array when it hears nothing for 150 ms or the server is gone.
+    The bridge is a watchdog: it stops the array when it hears nothing for 150 ms or the server is
+    gone.
     """
 
     takes_foci = True
@@ -95,7 +96,7 @@ class DeviceStratosExplore(Device):
         return max(0.0, self._free_at - now)
 
     def emit(self, emission: Emission, now: float) -> float:
-        """Send the points, the strongest where they are too many, with intensities for pressures."""
+        """Send the points, of too many the strongest, with intensities for pressures."""
         order = np.argsort(-emission.pressures, kind="stable")[: self._limit]
         intensity = np.minimum(emission.pressures[order] / self._full, emission.amplitude_cap)
         modulation = Modulation.AMPLITUDE if emission.modulated else Modulation.NONE

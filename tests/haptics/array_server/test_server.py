@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The server's rules, on a clock that the test turns: nothing but fresh, valid, capped foci sounds."""
+"""The server's rules, on a clock that the test turns: only fresh, valid, capped foci sound."""
 
 import random
 import re
@@ -158,7 +158,7 @@ def test_a_capped_drive_keeps_its_phases(amplitudes: np.ndarray, limit: float, p
 
 
 def test_sound_without_a_pause_is_limited() -> None:
-    """Pause after the on-time limit though focal points go on, and sound at most half of the time."""
+    """Pause after the on-time limit though focal points go on, and sound at most half the time."""
     started = Bench(limits=Limits(on_time=12.0))
     started.server.step(0.0)
     sounding = []

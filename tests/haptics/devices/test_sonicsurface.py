@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""SonicSurface: what an emulator of its protocol holds in the end is the sound that was asked for."""
+"""SonicSurface: what an emulator of its protocol holds in the end is the sound asked for."""
 
 from dataclasses import replace
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bridge to Ultraleap's SDK, compiled against stand-ins for its headers and run as a process."""
+"""The bridge to Ultraleap's SDK, compiled against stand-ins for its headers and run."""
 
 import re
 import shutil
@@ -188,7 +188,7 @@ def test_the_bridge_refuses_what_is_not_whole(reader: Path, flips: list[tuple[in
 
 
 def test_the_bridge_refuses_numbers_that_cannot_be_emitted(reader: Path) -> None:
-    """Refuse intensities outside 0 to 1, what is not finite, and more points than the array takes."""
+    """Refuse intensities outside 0 to 1, what is not finite, and more points than there may be."""
     bad = [
         foci((0.0, 0.0, 0.2, 1.01)),
         foci((0.0, 0.0, 0.2, -0.1)),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A process that is a serial array: a pty on one side, a person at the bench on the other.
 
-It reads the pty no faster than a wire of its baud rate brings bytes, since a pty knows no baud rate.
-On its standard input it takes a word a line and answers each with a line of JSON:
+It reads the pty no faster than a wire of its baud rate brings bytes, since a pty knows no baud
+rate. On its standard input it takes a word a line and answers each with a line of JSON:
 
     state    what the board holds now, and when it began and ceased to sound
     stall    read no more        resume  read again

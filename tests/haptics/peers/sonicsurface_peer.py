@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A SonicSurface in a process of its own, written from its protocol's table: stock|tactile, 1|2 boards."""
+"""A SonicSurface in a process of its own, written from its protocol's table.
+
+Its words are the firmware, stock or tactile, and the number of boards, 1 or 2.
+"""
 
 from __future__ import annotations
 
