@@ -3,6 +3,7 @@
 # make test        run all tests                       (TESTS=tests/solver runs some)
 # make bench       measure speed into build/bench
 # make bench-peers measure other engines beside it, in environments of their own in build/peers
+# make array-peers install AUTD3's own packages for the tests of that device, into build/peers
 # make report      run the physics experiments into build/report
 # make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
 # make lint        check style and types
@@ -24,7 +25,7 @@ python = $(VENV)/bin/python
 # A file's tests stay together, so that what they share is made once.
 workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test bench bench-peers report extension lint format environment clean
+.PHONY: demo test bench bench-peers array-peers report extension lint format environment clean
 .DEFAULT_GOAL = demo
 
 environment:
@@ -41,6 +42,9 @@ bench: environment
 
 bench-peers: environment
 	@$(python) -m tactile_clay.tests.bench.peers --output build/bench
+
+array-peers: environment
+	@$(python) -m tactile_clay.tests.haptics.peers.autd3_environment
 
 report: environment
 	@$(python) -m tactile_clay.tests.experiments.report --output build/report

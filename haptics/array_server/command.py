@@ -25,10 +25,11 @@ _DEVICES = """\
 devices:
   simulated[:PRESET]            an array that is not there
   sonicsurface[:PORT]           options: firmware=stock|tactile, boards=1|2
-  ultraino[:PORT]               options: board=fpga|fpga128|mega, boards=N
-  openmpd[:SERIAL]              options: config=board_N.pat, ids=VID:PID
-  autd3[:ADDRESS]               an Ethernet interface, or HOST:PORT of its simulator
-  stratos_explore:BRIDGE        the bridge program, built against your SDK
+  ultraino[:PORT]               options: board=mega|fpga|fpga128, boards=N, array=NAME|FILE.toml
+  openmpd:BOARD.pat             the board's file, as its driver has it
+  autd3[:ADDRESS]               an Ethernet interface, or HOST:PORT of its emulator
+  stratos_explore:BRIDGE        the bridge program, built against your SDK; option: full=PA
+options follow the address after commas: sonicsurface:/dev/ttyUSB0,firmware=tactile
 
 Sound is off unless focal points come in that are fresh (150 ms), inside the array's working volume
 and within the caps, which can only be lowered. Only programs on this machine can reach the server.
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the command takes to a parser."""
     limits = Limits()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = _DEVICES
+    parser.epilog = "\n".join(filter(None, (_DEVICES, parser.epilog)))
     parser.add_argument("device", metavar="DEVICE", nargs="?", help="the array, see below")
     parser.add_argument("--list", action="store_true", help="list what is plugged in, and end")
     parser.add_argument(
@@ -81,7 +82,7 @@ def list_devices() -> tuple[list[FoundDevice], list[str]]:
     """What is plugged in, and why some kinds could not be looked for."""
     found, problems = [], []
     for kind in DEVICE_KINDS:
-        module = importlib.import_module(f"...devices.{kind}", __package__)
+        module = importlib.import_module(f"..devices.{kind}", __package__)
         if hasattr(module, "list_devices"):
             try:
                 found += module.list_devices()

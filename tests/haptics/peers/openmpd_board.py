@@ -36,7 +36,7 @@ class OpenMPDBoard:
     def feed(self, data: bytes) -> None:
         """Take bytes from the FIFO."""
         for byte in data:
-            if byte >= 128 and not (self.index == 25):
+            if byte >= 128 and self.index != 25:
                 self.index = 0
             if self.index < 512:
                 self.buffer[self.index] = byte

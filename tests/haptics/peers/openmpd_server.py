@@ -20,6 +20,7 @@ import usb.core
 from tactile_clay.haptics.array_server import command, guard, launch
 from tactile_clay.haptics.devices import ftdi_fifo
 
+MODULE = "tactile_clay.tests.haptics.peers.openmpd_server"
 SERIAL = "FT6PLAY1"
 ENDPOINT_OUT, ENDPOINT_IN = 0x02, 0x81
 
@@ -169,8 +170,7 @@ def main() -> int:
         import subprocess
 
         return subprocess.Popen(
-            [sys.executable, "-m", "tactile_clay.tests.haptics.peers.openmpd_server"]
-            + [sys.argv[1], part, *words],
+            [sys.executable, "-m", MODULE, sys.argv[1], part, *words],
             stdin=subprocess.PIPE,
             stdout=stdout,
             start_new_session=True,
