@@ -23,7 +23,7 @@ import time
 from collections.abc import Sequence
 from typing import BinaryIO
 
-from ..devices import DeviceError, make_device
+from ..devices import Device, DeviceError, make_device
 from .launch import start_process
 
 _HANGS_AFTER = 1.0
@@ -41,12 +41,17 @@ class Guard:
     """
 
     def __init__(self, device: str) -> None:
-        self._process = start_process(
-            "guard", [device, str(os.getpid())], stdout=subprocess.DEVNULL
-        )
+        self._device = device
+        self._process = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        words = [self._device, str(os.getpid())]
+        return start_process("guard", words, stdout=subprocess.DEVNULL)
 
     def beat(self, *, emitting: bool) -> None:
-        """Say that all is well; call it at least every 0.3 s."""
+        """Say that all is well; call it at least every 0.3 s. A guard that has gone is replaced."""
+        if self._process.poll() is not None:
+            self._process = self._start()
         self._write(_SOUND if emitting else _SILENCE)
 
     def end(self, *, silent: bool) -> None:
@@ -61,7 +66,7 @@ class Guard:
                 self._process.wait(2.0)
 
     def _write(self, byte: bytes) -> None:
-        # A guard that somebody killed is a pity, and no reason to stop.
+        # One that has just gone is replaced at the next beat.
         with contextlib.suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.write(byte)
@@ -99,7 +104,7 @@ def wait_for_trouble(stream: BinaryIO, hangs_after: float = _HANGS_AFTER) -> str
         last = byte
 
 
-def silence(device: str, *, tries_for: float = _TRIES_FOR) -> bool:
+def silence(device: Device, *, tries_for: float = _TRIES_FOR) -> bool:
     """Open a device and close it, which makes it silent, again and again until that has worked.
 
     Returns:
@@ -108,25 +113,24 @@ def silence(device: str, *, tries_for: float = _TRIES_FOR) -> bool:
     end = time.monotonic() + tries_for
     while True:
         try:
-            opened = make_device(device)
-            opened.open(time.monotonic())
+            device.open(time.monotonic())
         except DeviceError:
             if time.monotonic() > end:
                 return False
             time.sleep(0.02)
         else:
-            opened.close(time.monotonic())
+            device.close(time.monotonic())
             return True
 
 
 def main(argv: Sequence[str]) -> int:
     """Guard the server that started this process; the words are the device and its process id."""
-    device, parent = argv[0], int(argv[1])
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    name, parent = argv[0], int(argv[1])
+    for word in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, word):
+            signal.signal(getattr(signal, word), signal.SIG_IGN)
     # Whatever must be imported is imported now, while there is time.
-    make_device(device)
+    device = make_device(name)
     trouble = wait_for_trouble(sys.stdin.buffer)
     if trouble == "ended":
         return 0
@@ -134,10 +138,10 @@ def main(argv: Sequence[str]) -> int:
         with contextlib.suppress(OSError):
             os.kill(parent, getattr(signal, "SIGKILL", signal.SIGTERM))
     if silence(device):
-        print(f"array-server: its guard has silenced {device}", file=sys.stderr)
+        print(f"array-server: its guard has silenced {name}", file=sys.stderr)
         return 0
     print(
-        f"array-server: {device} cannot be reached and may still sound. Switch its power off.",
+        f"array-server: {name} cannot be reached and may still sound. Switch its power off.",
         file=sys.stderr,
     )
     return 1

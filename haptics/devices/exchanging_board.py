@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .device import MODULATION_FREQUENCY, Device, DeviceError, Emission
-from .serial_port import SerialPort, choose_port
+from .serial_port import SerialPort, choose_port, load_pyserial
 
 _PERIODS_A_FRAME = 4
 """Periods of modulation by exchanges that follow an upload at least: an upload is silent."""
@@ -42,6 +42,8 @@ class DeviceExchangingBoard(Device):
     def __init__(
         self, kind: str, address: str, *, baud: int, exchange: int, filling: int | None
     ) -> None:
+        # Now, not when a guard must be quick.
+        load_pyserial()
         self._kind = kind
         self._address = address
         self._baud = baud

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..drive_steps import drive_steps
 from ..transducer_array import TransducerArray
 from .device import MODULATION_FREQUENCY, Device, DeviceError, DeviceName, Emission, FoundDevice
-from .ftdi_fifo import FtdiFifo, find_chips, serial_number
+from .ftdi_fifo import FtdiFifo, find_chips, load_pyusb, serial_number
 
 COUNT, PHASE_STEPS, WIDTH_STEPS = 256, 128, 64
 _FLAG = 128
@@ -121,6 +121,8 @@ class DeviceOpenMPD(Device):
         if not name.address:
             raise DeviceError("Say where the board's file is, as openmpd:/path/to/board_N.pat.")
         self._file = BoardFile.read(Path(name.address))
+        # Now, not when a guard must be quick.
+        load_pyusb()
         preset = TransducerArray.preset("openmpd")
         self.array = replace(
             preset,
