@@ -222,9 +222,8 @@ def test_a_guard_that_was_killed_is_replaced(stock: Peer) -> None:
         assert out.process
         (first,) = children_of(out.process.pid)
         os.kill(first, signal.SIGKILL)
-        keep_sending(
-            out, TWO_FOCI, lambda: children_of(out.process.pid) not in ([], [first]), "a new guard"
-        )
+        server = out.process.pid
+        keep_sending(out, TWO_FOCI, lambda: children_of(server) not in ([], [first]), "a new guard")
         out.process.kill()
         lateness(stock, time.monotonic())
         stock.wait(lambda state: set(state["hidden"]) == set(state["pattern"]) == {32}, "its work")
