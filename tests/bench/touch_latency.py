@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import sys
 import threading
@@ -58,17 +59,16 @@ def palm_contacts(frame: int) -> Contacts:
 
 def foci_of_contacts() -> FociOf:
     """The whole way that a live scene goes: pressure field, then focal points, warm-started."""
-    from tactile_clay.haptics import PressureField, focus
-
+    haptics: Any = importlib.import_module("tactile_clay.haptics")
     array = TransducerArray.preset("sonicsurface")
     last: dict[str, Any] = {"field": None, "foci": None}
 
     def next_foci(frame: int) -> Any:
-        field = PressureField.from_contacts(
+        field = haptics.PressureField.from_contacts(
             palm_contacts(frame), array.position, previous=last["field"], dt=FRAME
         )
         last["field"] = field
-        last["foci"] = focus(
+        last["foci"] = haptics.focus(
             field.positions,
             field.pressures,
             field.weights,
