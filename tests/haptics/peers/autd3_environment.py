@@ -13,7 +13,7 @@ from pathlib import Path
 from tactile_clay.tests.bench.peers import Peer, make_environment
 
 FOLDER = Path(__file__).resolve().parents[3] / "build" / "peers"
-NAMES = ("autd3", "autd3-pattern-holo", "autd3-emulator")
+NAMES = ("autd3-modulation", "autd3", "autd3-pattern", "autd3-emulator")
 AUTD3 = Peer(
     "AUTD3",
     tuple(f"{name}==0.12.0" for name in NAMES),
