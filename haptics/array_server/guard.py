@@ -46,7 +46,12 @@ class Guard:
 
     def _start(self) -> subprocess.Popen[bytes]:
         words = [self._device, str(os.getpid())]
-        return start_process("guard", words, stdout=subprocess.DEVNULL)
+        process = start_process("guard", words, stdout=subprocess.DEVNULL)
+        # A guard that hangs must not make the server wait.
+        with contextlib.suppress(OSError, AttributeError):
+            if process.stdin is not None:
+                os.set_blocking(process.stdin.fileno(), False)
+        return process
 
     def beat(self, *, emitting: bool) -> None:
         """Say that all is well; call it at least every 0.3 s. A guard that has gone is replaced."""
@@ -70,7 +75,6 @@ class Guard:
         with contextlib.suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.write(byte)
-                self._process.stdin.flush()
 
 
 def wait_for_trouble(stream: BinaryIO, hangs_after: float = _HANGS_AFTER) -> str:

@@ -41,6 +41,7 @@ def start_process(
         [sys.executable, "-P", str(Path(__file__).resolve()), part, *words],
         stdin=subprocess.PIPE,
         stdout=stdout,
+        bufsize=0,
         env=os.environ | {"PYTHONPATH": path},
         # A Ctrl-C in the terminal is for the one that was started there, which then tells the
         # others.

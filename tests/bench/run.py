@@ -98,17 +98,15 @@ def main() -> None:
             continue
         results.append(measure(case, Settings(), options.device))
         print(sentence(results[-1]), flush=True)
-    touch = []
-    if not options.cases:
-        touch = touch_latency.measure_all()
-        for figures in touch:
-            print(touch_latency.sentence(figures), flush=True)
+    latencies = [] if options.cases else touch_latency.measure_all()
+    for figures in latencies:
+        print(touch_latency.sentence(figures), flush=True)
     options.output.mkdir(parents=True, exist_ok=True)
     data = {
         "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), "warp": wp.__version__},
         "cases": results,
-        "touch_latency": touch,
+        "touch_latency": latencies,
     }
     path = options.output / "bench.json"
     path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
