@@ -18,7 +18,16 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .datagram import MAXIMUM_FOCI, MAXIMUM_SIZE, DatagramError, Kind, Modulation, decode, encode
+from .datagram import (
+    MAXIMUM_FOCI,
+    MAXIMUM_SIZE,
+    Datagram,
+    DatagramError,
+    Kind,
+    Modulation,
+    decode,
+    encode,
+)
 from .launch import start_process
 from .limits import Limits
 
@@ -302,14 +311,16 @@ class ArrayClient:
             with contextlib.suppress(DatagramError, TypeError, KeyError, ValueError):
                 datagram = decode(data)
                 if datagram.session == self.session and datagram.table is not None:
-                    self._take(datagram.kind, datagram.table)
+                    self._take(datagram)
                     found = found or datagram.kind is until
 
-    def _take(self, kind: Kind, table: dict[str, Any]) -> None:
-        if kind is Kind.STATUS:
+    def _take(self, datagram: Datagram) -> None:
+        table = datagram.table or {}
+        if datagram.kind is Kind.STATUS:
             self._status = ArrayStatus(heard=True, **table)
-            self._heard_at = time.monotonic()
-        elif kind is Kind.DRIVE:
+            # It may have waited here for long.
+            self._heard_at = datagram.time
+        elif datagram.kind is Kind.DRIVE:
             self._drive = np.array(table["real"]) + 1j * np.array(table["imaginary"])
 
 

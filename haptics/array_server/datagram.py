@@ -167,11 +167,11 @@ def decode(data: bytes) -> Datagram:
     if magic != MAGIC:
         raise DatagramError("another magic number")
     if version != VERSION:
-        raise DatagramError(f"version {version}, not {VERSION}")
+        raise DatagramError(f"not of version {VERSION}")
     if _CHECK.unpack_from(data, len(data) - _CHECK.size)[0] != zlib.crc32(data[: -_CHECK.size]):
         raise DatagramError("the checksum does not fit")
     if number not in Kind.__members__.values():
-        raise DatagramError(f"kind {number} is unknown")
+        raise DatagramError("an unknown kind")
     if reserved or way not in Modulation.__members__.values():
         raise DatagramError("an unknown modulation")
     kind = Kind(number)

@@ -97,7 +97,7 @@ class Gate:
             raise RefusedError("that is for clients")
         age = now - datagram.time
         if not -_CLOCK_SLACK <= age <= STALE_AFTER:
-            raise RefusedError(f"{age * 1e3:.0f} ms old")
+            raise RefusedError("too old" if age > 0.0 else "from the future")
         if datagram.sequence <= self._sequence:
             raise RefusedError("out of order")
         if datagram.kind is Kind.FOCI:

@@ -192,8 +192,6 @@ class ArrayServer:
                 datagram = self.gate.admit(data, now)
             except RefusedError as refused:
                 reason = str(refused)
-                if reason.endswith("ms old"):
-                    reason = "too old"
                 self._refused[reason] = self._refused.get(reason, 0) + 1
                 continue
             self._client = address

@@ -133,6 +133,22 @@ def test_a_client_of_nobody_is_told_so() -> None:
             out.drive(wait=0.05)
 
 
+def test_a_status_that_has_waited_is_out_of_date() -> None:
+    """Take a server for lost whose last word lay unread while it was gone."""
+    process = start_by_hand("simulated", "--port", "0")
+    assert process.stdout
+    port = int(process.stdout.readline().rsplit(":", 1)[1])
+    with ArrayClient(port) as out:
+        out.hello()
+        assert out.status(wait=PATIENCE).heard
+        time.sleep(0.3)
+        process.terminate()
+        process.wait(PATIENCE)
+        time.sleep(0.6)
+        assert not out.status().heard
+    process.communicate()
+
+
 def test_the_guard_of_a_simulated_array_ends_with_it() -> None:
     """Leave no process behind."""
     with ArrayClient.start("simulated") as out:
