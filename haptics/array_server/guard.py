@@ -46,12 +46,26 @@ class Guard:
 
     def _start(self) -> subprocess.Popen[bytes]:
         words = [self._device, str(os.getpid())]
-        process = start_process("guard", words, stdout=subprocess.DEVNULL)
+        process = start_process("guard", words, stdout=subprocess.PIPE)
+        ready = self._ready = threading.Event()
+
+        def wait_until_ready() -> None:
+            assert process.stdout is not None
+            with process.stdout as stream:
+                if stream.read(1):
+                    ready.set()
+
+        threading.Thread(target=wait_until_ready, daemon=True).start()
         # A guard that hangs must not make the server wait.
         with contextlib.suppress(OSError, AttributeError):
             if process.stdin is not None:
                 os.set_blocking(process.stdin.fileno(), False)
         return process
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is on guard, which takes it a moment: there should be no sound before."""
+        return self._ready.is_set() and self._process.poll() is None
 
     def beat(self, *, emitting: bool) -> None:
         """Say that all is well; call it at least every 0.3 s. A guard that has gone is replaced."""
@@ -135,6 +149,8 @@ def main(argv: Sequence[str]) -> int:
             signal.signal(getattr(signal, word), signal.SIG_IGN)
     # Whatever must be imported is imported now, while there is time.
     device = make_device(name)
+    sys.stdout.write("R")
+    sys.stdout.close()
     trouble = wait_for_trouble(sys.stdin.buffer)
     if trouble == "ended":
         return 0

@@ -251,7 +251,8 @@ class ArrayServer:
             self._dropped += self._waiting
             self._waiting = False
         wanted = newest is not None and len(newest.positions) > 0
-        if not wanted or not self.on_time.allowed:
+        guarded = self._guard is None or self._guard.ready
+        if not wanted or not self.on_time.allowed or not guarded:
             self._waiting = False
             if self.emitting and self.connected:
                 self._silence(now)

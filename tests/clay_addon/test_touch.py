@@ -113,11 +113,15 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     away = np.array((0.3, -0.2, 0.0))
     near = TouchFrame(near.positions + away, near.pressures, near.sigma)
 
+    drives = []
+
     def sounds() -> bool:
-        return touch.status is not None and touch.status.foci == 2
+        assert touch.client
+        drives.append(touch.client.drive())
+        return bool(touch.status and touch.status.foci == 2 and drives[-1].any())
 
     feel_until(studio.scene, near, sounds, "sound")
-    drive = touch.client.drive()
+    drive = drives[-1]
     array = placed_array(studio.scene)
     assert array is not None
     heard = np.abs(acoustic_field(array, drive, near.positions))

@@ -18,7 +18,9 @@ from tactile_clay.tests.haptics.peers.harness import (
     PATIENCE,
     TWO_FOCI,
     Peer,
+    check_lateness,
     keep_sending,
+    lateness,
     peer,
 )
 
@@ -58,29 +60,6 @@ def has_silent_half(state: dict[str, Any]) -> bool:
     return {32} in (set(state["pattern"]), set(state["hidden"]))
 
 
-def lateness(board: Peer, since: float) -> float:
-    """Wait for lasting silence, and tell how long after `since` it came [s].
-
-    What the machine kept the board itself waiting is not counted.
-    """
-    before = board.ask("state")["held_up"]
-    state = board.wait(
-        lambda state: not state["sounds"] and state["time"] > since + 0.4, "lasting silence"
-    )
-    late: float = state["changes"][-1][0] - since - (state["held_up"] - before)
-    return late
-
-
-def check_lateness(attempt: Callable[[], float], limit: float = OFF_WITHIN) -> None:
-    """Hold the best of three attempts to a limit: the machine may be busy with other things."""
-    tries: list[float] = []
-    while len(tries) < 3:
-        tries.append(attempt())
-        if tries[-1] <= limit:
-            return
-    raise AssertionError(f"silent after {tries} s, not within {limit}")
-
-
 @pytest.mark.parametrize(
     ("end", "limit"),
     [
@@ -96,15 +75,15 @@ def check_lateness(attempt: Callable[[], float], limit: float = OFF_WITHIN) -> N
         pytest.param(lambda out: out.process.send_signal(signal.SIGSTOP), 1.6, id="SIGSTOP"),
     ],
 )
-def test_sound_ends(board: Peer, end: Callable[[ArrayClient], None], limit: float) -> None:
+def test_sound_ends(stock: Peer, end: Callable[[ArrayClient], None], limit: float) -> None:
     """Be silent within 250 ms of the last data or a signal, and soon after the server's death."""
 
     def attempt() -> float:
-        with ArrayClient.start(name_of(board)) as out:
-            sound(out, board)
+        with ArrayClient.start(name_of(stock)) as out:
+            sound(out, stock)
             since = time.monotonic()
             end(out)
-            return lateness(board, since)
+            return lateness(stock, since)
 
     check_lateness(attempt, limit)
 

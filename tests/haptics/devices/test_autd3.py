@@ -146,11 +146,11 @@ def test_a_server_drives_it_and_survives_its_reboot(emulator: Peer) -> None:
     """Send frames over UDP, say when the device is gone, and connect to it again."""
     with ArrayClient.start(f"autd3:{emulator.first['port']}") as out:
         keep_sending(out, POINTS, lambda: out.status().frames_per_second > 20, "frames")
-        assert out.status().foci == 3
-        assert np.abs(out.drive()).max() > 0.1
+        keep_sending(out, POINTS, lambda: out.status().foci == 3, "focal points")
+        keep_sending(out, POINTS, lambda: np.abs(out.drive()).max() > 0.1, "a drive")
         emulator.ask("reboot")
         keep_sending(out, POINTS, lambda: out.status().losses > 0, "a lost device")
-        assert "AUTD3" in out.status().fault
+        keep_sending(out, POINTS, lambda: "AUTD3" in out.status().fault, "a reason")
         keep_sending(out, POINTS, lambda: out.status().connected, "a new beginning")
         keep_sending(out, POINTS, lambda: out.status().emitting, "sound")
         end = time.monotonic() + PATIENCE

@@ -81,7 +81,7 @@ def test_points_reach_the_sdk_and_stop_with_the_data(bridge: Path) -> None:
     (bridge.parent / "said.txt").unlink(missing_ok=True)
     with ArrayClient.start(f"stratos_explore:{bridge}") as out:
         keep_sending(out, FOUR, lambda: len(said(bridge)) > 60, "emission", pace=0.005)
-        assert out.status().connected
+        keep_sending(out, FOUR, lambda: out.status().connected, "a connection")
         wait_for_last(bridge, "stop", "pause")
         table = [
             [tuple(map(float, point.split(","))) for point in line.split()[1:]]

@@ -8,6 +8,7 @@ answered with one. On the standard input: ``state``, ``stall``, ``resume``, ``un
 
 from __future__ import annotations
 
+import contextlib
 import json
 import selectors
 import socket
@@ -94,12 +95,13 @@ def main() -> None:
                 )
             else:
                 assert isinstance(key.fileobj, socket.socket)
-                line = readers[key.fileobj].readline()
-                if not line:
+                # A server that is killed may leave half a line.
+                try:
+                    call = json.loads(readers[key.fileobj].readline())
+                except (OSError, ValueError):
                     selector.unregister(key.fileobj)
                     key.fileobj.close()
                     continue
-                call = json.loads(line)
                 answer = "ok"
                 if not board.plugged:
                     answer = "gone"
@@ -113,7 +115,8 @@ def main() -> None:
                         changes.append((time.monotonic(), board.sounds()))
                 elif call["name"] == "control":
                     board.controls.append(call["values"])
-                key.fileobj.sendall((json.dumps(answer) + "\n").encode())
+                with contextlib.suppress(OSError):
+                    key.fileobj.sendall((json.dumps(answer) + "\n").encode())
 
 
 if __name__ == "__main__":
