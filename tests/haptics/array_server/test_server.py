@@ -5,6 +5,8 @@ import random
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -322,3 +324,20 @@ def test_a_flood_does_not_keep_it_from_its_duties(bench: Bench) -> None:
         bench.now += 0.001
         bench.server.step(0.0)
     assert not bench.device.sounds
+
+
+def test_there_is_no_sound_without_a_guard_on_guard() -> None:
+    """Wait for the guard before the first sound, and be silent while it is being replaced."""
+    started = Bench()
+    guard: Any = SimpleNamespace(ready=False, beat=lambda emitting: None, end=lambda silent: None)
+    started.server._guard = guard
+    started.server.step(0.0)
+    started.send(FOCUS)
+    assert not started.device.sounds
+    guard.ready = True
+    started.send(FOCUS)
+    assert started.device.sounds
+    guard.ready = False
+    started.send(FOCUS)
+    assert not started.device.sounds
+    started.close()
