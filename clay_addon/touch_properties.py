@@ -104,9 +104,10 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
         default=1000.0,
         min=1.0,
         max=2000.0,
+        precision=0,
     )
     use_weights: bpy.props.BoolProperty(
-        name="Sensitivity of the Skin",
+        name="Skin Sensitivity",
         description="Put focal points where the skin feels best",
         default=True,
     )
