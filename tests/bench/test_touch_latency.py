@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from tactile_clay.tests.bench import touch_latency
-from tactile_clay.tests.haptics.peers.harness import TWO_FOCI
+from tactile_clay.tests.bench import touch_latency, touch_silence
+from tactile_clay.tests.haptics.peers.harness import TWO_FOCI, peer
 
 
 def test_latency_counts_from_the_contact_forces() -> None:
@@ -45,3 +45,13 @@ def test_the_palm_is_pressed_over_the_array() -> None:
     pressure = -np.einsum("gi,gi->g", contacts.normals, contacts.forces) / contacts.areas
     assert 2e4 < pressure.max() < 5e4
     assert (contacts.normals[:, 2] < 0.0).all()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
+def test_silence_is_timed_from_its_cause() -> None:
+    """Count the 150 ms that data may be old, and nothing where silence is asked for."""
+    with peer("sonicsurface_peer", "tactile", "1") as board:
+        slow = touch_silence.time_to_silence(board, touch_silence.ENDS["no more data"])
+        fast = touch_silence.time_to_silence(board, touch_silence.ENDS["no focal points"])
+    assert slow > 0.12
+    assert fast < slow

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """SonicSurface: what an emulator of its protocol holds in the end is the sound asked for."""
 
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,8 @@ from tactile_clay.tests.haptics.peers.harness import (
     peer,
     pressures_at,
 )
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 
 CASES = (("stock", 1), ("stock", 2), ("tactile", 1))
 
@@ -47,6 +50,7 @@ def emitted(pattern: list[int]) -> NDArray[np.complex128]:
     return np.where(phases == 32, 0.0, np.exp(2j * np.pi * phases / 32.0))
 
 
+@needs_pty
 @pytest.mark.parametrize(("firmware", "boards"), CASES)
 def test_the_emulator_holds_the_pressures_that_were_asked_for(firmware: str, boards: int) -> None:
     """Reach |p| / target of 1 within a tenth at two foci, through bytes at the wire's pace."""
@@ -71,6 +75,7 @@ def test_the_emulator_holds_the_pressures_that_were_asked_for(firmware: str, boa
             assert states[-1]["modulation"] == pytest.approx(208.3, abs=0.1)
 
 
+@needs_pty
 def test_connecting_silences_a_board_that_powers_up_with_sound() -> None:
     """Write silence into both patterns before any focal point has come."""
     with peer("sonicsurface_peer", "stock", "1") as board:

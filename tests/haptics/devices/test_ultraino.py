@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ultraino's three boards: what their emulators hold in the end is the sound asked for."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from tactile_clay.tests.haptics.peers.harness import (
     peer,
     pressures_at,
 )
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 
 NEAR = foci((0.0, 0.0, 0.1, 400.0), (0.02, 0.02, 0.1, 240.0))
 FAR = foci((0.0, 0.0, 0.15, 900.0), (0.03, 0.02, 0.14, 500.0))
@@ -92,6 +95,7 @@ def check(array: TransducerArray, drive: NDArray[np.complex128], points: Foci) -
     assert ratio == pytest.approx(1.0, abs=0.15)
 
 
+@needs_pty
 @pytest.mark.parametrize(
     ("board", "divisions", "preset", "points"),
     [("fpga", 32, "sonicsurface", FAR), ("fpga128", 128, "ultraino", NEAR)],
@@ -115,6 +119,7 @@ def test_an_fpga_holds_the_pressures_that_were_asked_for(
         assert not state["sounds"]
 
 
+@needs_pty
 @pytest.mark.parametrize("boards", [1, 2])
 def test_a_mega_modulates_at_200_hz_by_itself(boards: int, tmp_path: Path) -> None:
     """Hold 2.5 ms each of a waveform with the pressures asked for and of silence, then silence."""
