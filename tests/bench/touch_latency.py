@@ -21,6 +21,7 @@ from tactile_clay.haptics import ArrayClient, TransducerArray
 GHOSTS = 2000
 FRAME = 1 / 60
 FOCI = 8
+_PATIENCE = 20.0
 
 FociOf = Callable[[int], Any]
 """Focal points of a frame, from the contact forces of that frame."""
@@ -118,10 +119,19 @@ def measure_device(device: str, next_foci: FociOf, *, frames: int = 300) -> dict
     Returns:
         Median and 99th percentile of the time from contact forces to the last byte [ms], by the
         server's own count: when it was handed over, and how long the wire takes for what is before
-        it. The first second is not counted.
+        it. The first frames, until the array sounds, count with the rest.
+
+    Raises:
+        TimeoutError: The array does not sound.
     """
     spent = []
     with ArrayClient.start(device) as out:
+        end = time.monotonic() + _PATIENCE
+        while not out.status().frames_per_second:
+            if time.monotonic() > end:
+                raise TimeoutError(f"{device} does not sound: {out.status()}")
+            out.send(next_foci(0))
+            time.sleep(FRAME)
         due = time.monotonic()
         for frame in range(frames):
             begin = time.monotonic()
