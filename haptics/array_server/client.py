@@ -245,7 +245,7 @@ class ArrayClient:
             table["fault"] = table["fault"] or "The array server has ended."
         return ArrayStatus(**table)
 
-    def drive(self, *, wait: float = 1.0) -> NDArray[np.complex128]:
+    def drive(self, *, wait: float = 2.0) -> NDArray[np.complex128]:
         """The drive that the device holds, after caps and quantisation, shape [T].
 
         Args:
@@ -255,10 +255,13 @@ class ArrayClient:
             ArrayServerError: There was none.
         """
         self._drive = None
-        self._send(Kind.ASK_DRIVE)
-        self._read(wait, Kind.DRIVE)
-        if self._drive is None:
-            raise ArrayServerError("The array server does not answer.")
+        end = time.monotonic() + wait
+        while self._drive is None:
+            # A question that is old when the server reads it is not answered either.
+            self._send(Kind.ASK_DRIVE)
+            self._read(min(0.25, wait), Kind.DRIVE)
+            if self._drive is None and time.monotonic() >= end:
+                raise ArrayServerError("The array server does not answer.")
         return self._drive
 
     def close(self) -> None:
