@@ -29,6 +29,7 @@ from .cache_files import (
     write_arrays,
     write_whole,
 )
+from .cache_foci import FOCI
 from .cache_meta import ClaySlice, Meta
 
 __all__ = [
@@ -37,14 +38,12 @@ __all__ = [
     "CacheError",
     "CacheMissingError",
     "ClaySlice",
-    "FociFrame",
     "Frame",
     "Meta",
 ]
 
 _FRAME = re.compile(r"frame_(-\d{5,}|\d{6,})\.npz")
 _CHECKPOINT = re.compile(r"checkpoint_(-\d{5,}|\d{6,})\.npz")
-_FOCI = re.compile(r"foci_(-\d{5,}|\d{6,})\.npz")
 _LOCK = "clay.lock"
 _TEMPORARY = re.compile(r"\.clay-.*\.tmp")
 
@@ -61,20 +60,6 @@ class Frame:
     """World velocities [Blender units/s], shape [N, 3]."""
     inputs: bytes = b""
     """Digest of what the colliders did at this frame."""
-
-
-@dataclass(frozen=True)
-class FociFrame:
-    """What an ultrasound array let feel at one frame."""
-
-    number: int
-    """Frame number."""
-    positions: NDArray[np.float32]
-    """Focal points in the world [Blender units], shape [K, 3]."""
-    pressures: NDArray[np.float32]
-    """Pressure amplitude at each [Pa], shape [K]."""
-    sigma: float
-    """Size of a focal point: the standard deviation of its Gaussian [m]."""
 
 
 class Cache:
@@ -144,30 +129,7 @@ class Cache:
 
     def foci_frames(self) -> list[int]:
         """Numbers of the frames that focal points were recorded with, sorted."""
-        return self._numbers(_FOCI)
-
-    def read_foci(self, number: int, *, meta: Meta | None = None) -> FociFrame:
-        """Read the focal points of one frame.
-
-        Raises:
-            CacheMissingError: None were recorded there.
-            CacheDamagedError: The file is truncated, altered or of another bake.
-        """
-        path = self._foci_path(number)
-        arrays = read_arrays(path, ("bake", "frame", "positions", "pressures", "sigma"))
-        meta = meta or self.meta()
-        if arrays["bake"].tobytes() != meta.digest or arrays["frame"].tolist() != [number]:
-            raise CacheDamagedError(f"{path.name} belongs to another bake or frame")
-        positions, pressures, sigma = (arrays[n] for n in ("positions", "pressures", "sigma"))
-        shapes = positions.shape, pressures.shape, sigma.shape
-        kinds = {positions.dtype, pressures.dtype, sigma.dtype}
-        if shapes != ((len(pressures), 3), (len(pressures),), (1,)) or kinds != {
-            np.dtype(np.float32)
-        }:
-            raise CacheDamagedError(f"{path.name} holds focal points of the wrong size")
-        if not all(np.isfinite(values).all() for values in (positions, pressures, sigma)):
-            raise CacheDamagedError(f"{path.name} holds values that are not finite")
-        return FociFrame(number, positions, pressures, float(sigma[0]))
+        return self._numbers(FOCI)
 
     def read_colors(self) -> NDArray[np.float32]:
         """Colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
@@ -288,23 +250,6 @@ class Cache:
             },
         )
 
-    def write_foci(self, frame: FociFrame, meta: Meta) -> None:
-        """Write the focal points of one frame.
-
-        Raises:
-            CacheError: The disk is full or the folder cannot be written to.
-        """
-        write_arrays(
-            self._foci_path(frame.number),
-            {
-                "bake": np.frombuffer(meta.digest, np.uint8),
-                "frame": np.array([frame.number], np.int64),
-                "positions": np.ascontiguousarray(frame.positions, np.float32),
-                "pressures": np.ascontiguousarray(frame.pressures, np.float32),
-                "sigma": np.array([frame.sigma], np.float32),
-            },
-        )
-
     def write_checkpoint(
         self, number: int, snapshot: Mapping[str, NDArray[Any]], meta: Meta
     ) -> int:
@@ -371,9 +316,6 @@ class Cache:
     def _checkpoint_path(self, number: int) -> Path:
         return self.directory / f"checkpoint_{number:06d}.npz"
 
-    def _foci_path(self, number: int) -> Path:
-        return self.directory / f"foci_{number:06d}.npz"
-
     def _numbers(self, pattern: re.Pattern[str]) -> list[int]:
         try:
             names = [path.name for path in self.directory.iterdir()]
@@ -390,7 +332,7 @@ class Cache:
             path
             for path in paths
             if path.name in ("meta.json", "colors.npz", _LOCK)
-            or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, _FOCI, _TEMPORARY))
+            or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, FOCI, _TEMPORARY))
         ]
 
     def _check_own(self) -> None:

@@ -29,7 +29,7 @@ def status_lines() -> list[tuple[str, str]]:
     if not status.connected:
         lines.append(("Not connected; it is tried again and again.", "UNLINKED"))
     elif status.emitting:
-        latency = f", {status.latency * 1e3:.0f} ms late" if status.latency is not None else ""
+        latency = f", latency {status.latency * 1e3:.0f} ms" if status.latency is not None else ""
         points = "1 focal point" if status.foci == 1 else f"{status.foci} focal points"
         lines.append(
             (f"{points}, {status.frames_per_second} frames/s{latency}", "OUTLINER_OB_SPEAKER")

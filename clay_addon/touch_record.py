@@ -14,7 +14,8 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from . import touch
-from .cache import Cache, CacheError, FociFrame, Meta
+from .cache import Cache, CacheError, Meta
+from .cache_foci import FociFrame, read_foci, write_foci
 from .playback import cache_of
 from .touch_array import TouchArrayError
 
@@ -36,9 +37,8 @@ def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, sc
         CacheError: The folder cannot be written to.
     """
     positions = np.asarray(frame.positions, np.float32) / np.float32(scale)
-    cache.write_foci(
-        FociFrame(number, positions, np.asarray(frame.pressures, np.float32), frame.sigma), meta
-    )
+    pressures = np.asarray(frame.pressures, np.float32)
+    write_foci(cache.directory, FociFrame(number, positions, pressures, frame.sigma), meta)
 
 
 def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
@@ -54,7 +54,7 @@ def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
     """
     from ..haptics.touch_pipeline import TouchFrame
 
-    kept = cache.read_foci(number)
+    kept = read_foci(cache.directory, number, cache.meta())
     return TouchFrame(
         kept.positions.astype(np.float64) * scale, kept.pressures.astype(np.float64), kept.sigma
     )
@@ -73,8 +73,10 @@ def pause_replay(paused: bool) -> None:
 def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
     """Feel what was recorded at the frame that is shown now."""
     properties = scene.tactile_touch
-    # Of a render there is nothing to feel, and without an array or an overlay nothing to do.
     if not _playing or not properties.play_baked or properties.array is None:
+        return
+    # A render goes by in a thread of its own, and not in time.
+    if bpy.app.is_job_running("RENDER"):
         return
     if touch.client is None and not properties.show_overlay:
         return

@@ -17,7 +17,8 @@ from mathutils import Matrix, Vector
 import tactile_clay.haptics
 from tactile_clay.clay_addon import touch, touch_overlay, touch_panel, touch_record
 from tactile_clay.clay_addon.bake import bake
-from tactile_clay.clay_addon.cache import Cache, CacheDamagedError, CacheMissingError, FociFrame
+from tactile_clay.clay_addon.cache import Cache, CacheDamagedError, CacheMissingError
+from tactile_clay.clay_addon.cache_foci import FociFrame, read_foci, write_foci
 from tactile_clay.clay_addon.touch_array import TouchArrayError, placed_array
 from tactile_clay.clay_addon.touch_operators import field_picture
 from tactile_clay.clay_addon.touch_properties import device_name
@@ -191,7 +192,7 @@ STATUS = {"heard": True, "connected": True}
         (STATUS, "Connected and silent"),
         (
             STATUS | {"emitting": True, "foci": 1, "latency": 0.0123},
-            "1 focal point, 0 frames/s, 12",
+            "1 focal point, 0 frames/s, latency 12",
         ),
         (STATUS | {"outside": 3}, "3 focal points out of"),
         (STATUS | {"dropped": 4}, "4 frames dropped"),
@@ -223,16 +224,16 @@ def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> Non
     assert kept.pressures == pytest.approx(frame.pressures)
     assert kept.sigma == pytest.approx(frame.sigma)
     with pytest.raises(CacheMissingError):
-        cache.read_foci(1)
+        read_foci(cache.directory, 1, cache.meta())
     path = cache.directory / "foci_000002.npz"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CacheDamagedError):
-        cache.read_foci(2)
+        read_foci(cache.directory, 2, cache.meta())
     bad = FociFrame(2, np.full((1, 3), np.nan, np.float32), np.ones(1, np.float32), 0.01)
-    cache.write_foci(bad, cache.meta())
+    write_foci(cache.directory, bad, cache.meta())
     with pytest.raises(CacheDamagedError, match="not finite"):
-        cache.read_foci(2)
+        read_foci(cache.directory, 2, cache.meta())
     cache.free()
     assert not path.exists()
 
