@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY = 0.25
 """The status is asked for this often [s]."""
+_ANSWERS_WITHIN = 2.0
+"""A server that was started by hand answers at once [s]."""
 _PARTS = {"SONICSURFACE": "pyserial", "ULTRAINO": "pyserial", "OPENMPD": "pyusb", "AUTD3": "autd3"}
 _MODULES = {"pyserial": "serial", "pyusb": "usb", "autd3": "autd3"}
 
@@ -53,7 +55,8 @@ def missing_touch_part(kind: str) -> str:
     if found:
         return ""
     where = (
-        "Add it and autd3-pattern and autd3-modulation to Blender's Python"
+        "Install it, autd3-pattern and autd3-modulation into another Python with tactile-clay, run "
+        "tactile-clay array-server autd3 there, and choose Running Server here"
         if part == "autd3"
         else "Install the extension from its zip for this platform, which brings it along"
     )
@@ -61,7 +64,7 @@ def missing_touch_part(kind: str) -> str:
 
 
 def connect(context: bpy.types.Context) -> None:
-    """Start an array server for the scene's device; one that runs is ended first.
+    """Start an array server for the scene's device, or connect to one that runs.
 
     Raises:
         TouchError: It does not start.
@@ -76,12 +79,22 @@ def connect(context: bpy.types.Context) -> None:
     if missing:
         raise TouchError(missing)
     array = placed_array(context.scene)
-    try:
-        client = ArrayClient.start(
-            device_name(properties), pose=None if array is None else array.pose
-        )
-    except ArrayServerError as error:
-        raise TouchError(str(error)) from error
+    pose = None if array is None else array.pose
+    if properties.kind == "SERVER":
+        client = ArrayClient(properties.server_port, pose=pose)
+        client.hello()
+        found = read_status(wait=_ANSWERS_WITHIN)
+        if found is None or not found.heard:
+            disconnect()
+            raise TouchError(
+                f"No array server answers at port {properties.server_port}. Start one with "
+                "tactile-clay array-server DEVICE."
+            )
+    else:
+        try:
+            client = ArrayClient.start(device_name(properties), pose=pose)
+        except ArrayServerError as error:
+            raise TouchError(str(error)) from error
     if not bpy.app.background:
         bpy.app.timers.register(_look, first_interval=_LOOK_EVERY)
 
@@ -103,8 +116,9 @@ def touch_frame(
     weights: Sequence[ArrayLike | None] = (),
     dt: float | None = None,
     taken: float | None = None,
+    send: bool = True,
 ) -> TouchFrame | None:
-    """Let a frame be felt: the one thing that a live session calls, once a frame.
+    """Let a frame be felt: the one thing that a live session or a bake calls, once a frame.
 
     Args:
         scene: Its array and settings count.
@@ -112,6 +126,7 @@ def touch_frame(
         weights: Perceptual weights of each hand's ghosts.
         dt: Time since the last frame [s]; None after a jump.
         taken: When the contacts were taken, by `time.monotonic` [s]; now if not given.
+        send: Whether it is sent to the array; a bake is not in time, and only keeps it.
 
     Returns:
         The frame, to be recorded with the bake; None where the scene has no array.
@@ -139,7 +154,10 @@ def touch_frame(
         ceiling=properties.ceiling,
         count=properties.focus_count,
     )
-    feel(scene, frame, taken=begin)
+    if send:
+        feel(scene, frame, taken=begin)
+    else:
+        show(frame)
     return frame
 
 

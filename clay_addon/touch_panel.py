@@ -14,6 +14,7 @@ _ADDRESSES = {
     "OPENMPD": ("board_file",),
     "AUTD3": ("interface",),
     "STRATOS_EXPLORE": ("bridge",),
+    "SERVER": ("server_port",),
 }
 """What is to be known about each kind of device."""
 

@@ -16,6 +16,7 @@ _KINDS = (
     ("OPENMPD", "OpenMPD", "On USB", 3),
     ("AUTD3", "AUTD3", "On Ethernet", 4),
     ("STRATOS_EXPLORE", "STRATOS Explore", "Through a bridge built against Ultraleap's SDK", 5),
+    ("SERVER", "Running Server", "Whatever `tactile-clay array-server` was started for by hand", 6),
 )
 
 
@@ -74,6 +75,13 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
     )
     bridge: bpy.props.StringProperty(
         name="Bridge", description="The bridge program, built against the SDK", subtype="FILE_PATH"
+    )
+    server_port: bpy.props.IntProperty(
+        name="Port",
+        description="Where the array server listens on this machine",
+        default=17717,
+        min=1,
+        max=65535,
     )
     firmware: bpy.props.EnumProperty(
         name="Firmware",

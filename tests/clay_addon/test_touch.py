@@ -151,6 +151,34 @@ def test_opening_another_file_and_unregistering_let_go(studio: Any) -> None:
     assert second.returncode == 0
 
 
+def test_a_server_that_was_started_by_hand_is_used_and_left_running(studio: Any) -> None:
+    """Connect to a port, and leave the server silent and alive."""
+    properties = studio.scene.tactile_touch
+    properties.kind, properties.server_port = "SERVER", 9
+    assert "No array server answers at port 9" in studio.refused(bpy.ops.clay.touch_connect)
+    assert touch.client is None
+    command = "from tactile_clay.clay_addon.command_line import run; run()"
+    words = ["array-server", "simulated:openmpd", "--port", "0"]
+    with subprocess.Popen(
+        [sys.executable, "-c", command, *words], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout
+        properties.server_port = int(process.stdout.readline().rsplit(":", 1)[1])
+        add_array("openmpd")
+        for _ in range(2):
+            assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+            feel_until(
+                studio.scene,
+                frame_at(0.2),
+                lambda: touch.status and touch.status.foci == 2,
+                "sound",
+            )
+            touch.disconnect()
+            assert process.poll() is None
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+
+
 def test_a_device_that_cannot_be_is_told(studio: Any) -> None:
     """Report what the server says, and stay unconnected."""
     properties = studio.scene.tactile_touch
@@ -166,7 +194,7 @@ def test_missing_packages_are_a_notice_only(studio: Any, monkeypatch: pytest.Mon
     assert "pyserial is missing" in drawn()
     assert "pyserial is missing" in studio.refused(bpy.ops.clay.touch_connect)
     studio.scene.tactile_touch.kind = "AUTD3"
-    assert "autd3-pattern" in drawn()
+    assert "choose Running Server" in drawn()
     studio.scene.tactile_touch.kind = "SIMULATED"
     assert "missing" not in drawn()
 
@@ -307,6 +335,8 @@ def test_contacts_become_focal_points(studio: Any) -> None:
     assert np.hypot(*frame.positions[:, :2].T).max() < 0.06
     assert frame.reconstructed is not None
     assert touch.shown is frame
+    kept = touch.touch_frame(studio.scene, [palm_contacts(5)], dt=1 / 60, send=False)
+    assert touch.shown is kept
     touch.rest()
     assert touch.shown is None
 
