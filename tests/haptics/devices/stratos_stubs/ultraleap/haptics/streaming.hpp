@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <cstdio>
 #include <functional>
+#include <mutex>
 #include <string>
 #include <thread>
 #include <utility>
@@ -104,6 +105,7 @@ public:
         return {};
     }
     result<void> pause() {
+        const std::lock_guard<std::mutex> lock(mutex_);
         std::fprintf(stderr, "pause\n");
         paused_ = true;
         return {};
@@ -123,6 +125,7 @@ private:
     void run() {
         while (running_) {
             std::this_thread::sleep_for(std::chrono::milliseconds(1));
+            const std::lock_guard<std::mutex> lock(mutex_);
             if (paused_) continue;
             const auto now = LocalTimeClock::now();
             OutputInterval interval;
@@ -142,6 +145,7 @@ private:
     std::size_t count_ = 0;
     EmissionCallbackFunction callback_;
     std::atomic<bool> running_{false}, paused_{true};
+    std::mutex mutex_;  // A pause waits for the callback that is under way.
     std::thread thread_;
 };
 
