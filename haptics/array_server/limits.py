@@ -60,7 +60,8 @@ class Gate:
         array: In its own coordinates; focal points must lie in its working volume.
         limits: The caps.
         session: Number of the session that is listened to.
-        maximum_foci: Most focal points that the device takes; more are refused.
+        maximum_foci: Most focal points that the device takes; of more the strongest are let
+        through.
     """
 
     def __init__(
@@ -107,15 +108,16 @@ class Gate:
 
     def _capped(self, datagram: Datagram) -> Datagram:
         positions, pressures = datagram.positions, datagram.pressures
-        if len(positions) > self.maximum_foci:
-            raise RefusedError(f"more than {self.maximum_foci} focal points")
         if not (np.isfinite(positions).all() and np.isfinite(pressures).all()):
             raise RefusedError("not finite")
         if (pressures < 0.0).any():
             raise RefusedError("a negative pressure")
         inside = self.array.reaches(positions)
         self.outside += int((~inside).sum())
-        wanted = inside & (pressures > 0.0)
+        wanted = np.flatnonzero(inside & (pressures > 0.0))
+        if len(wanted) > self.maximum_foci:
+            strongest = np.argsort(-pressures[wanted], kind="stable")[: self.maximum_foci]
+            wanted = np.sort(wanted[strongest])
         return Datagram(
             datagram.kind,
             datagram.session,

@@ -115,6 +115,15 @@ def test_a_busy_device_gets_the_newest_and_no_queue(
     assert bench.server.status(bench.now)["dropped"] == 4
 
 
+def test_of_too_many_focal_points_the_strongest_stay(bench: Bench) -> None:
+    """Let through as many as the device takes, in their order."""
+    pressures = [100.0 + (17 * index) % 40 for index in range(40)]
+    bench.send([(0.001 * index, 0.0, 0.15, p) for index, p in enumerate(pressures)])
+    (_, emission) = bench.device.emissions[-1]
+    kept = [p for p in pressures if p >= sorted(pressures)[-bench.device.maximum_foci]]
+    assert emission.pressures.tolist() == kept
+
+
 def test_caps_hold_whatever_is_asked_for() -> None:
     """Lower pressures and amplitudes to the caps, for arrays with amplitudes and without."""
     for preset in ("openmpd", "sonicsurface", "stratos_explore"):
