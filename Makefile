@@ -4,6 +4,7 @@
 # make bench       measure speed into build/bench
 # make bench-peers measure other engines beside it, in environments of their own in build/peers
 # make acoustic-peers  try fields and drives against levitate and autd3, in environments likewise
+# make array-peers install AUTD3's own packages for the tests of that device, into build/peers
 # make report      run the physics experiments into build/report
 # make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
 # make lint        check style and types
@@ -25,7 +26,7 @@ python = $(VENV)/bin/python
 # A file's tests stay together, so that what they share is made once.
 workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test bench bench-peers acoustic-peers report extension lint format environment clean
+.PHONY: demo test bench bench-peers acoustic-peers array-peers report extension lint format environment clean
 .DEFAULT_GOAL = demo
 
 environment:
@@ -46,6 +47,9 @@ bench-peers: environment
 acoustic-peers: environment
 	@$(python) -m tactile_clay.tests.haptics.peers.environments
 	@$(python) -m pytest -s tests/haptics/peers
+
+array-peers: environment
+	@$(python) -m tactile_clay.tests.haptics.peers.autd3_environment
 
 report: environment
 	@$(python) -m tactile_clay.tests.experiments.report --output build/report

@@ -18,8 +18,15 @@ _MODULES = (
     "playback",
     "export",
     "pack",
+    "touch_properties",
+    "touch_array",
+    "touch",
+    "touch_operators",
+    "touch_record",
+    "touch_overlay",
     "command_line",
     "panel",
+    "touch_panel",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -29,6 +29,7 @@ from .cache_files import (
     write_arrays,
     write_whole,
 )
+from .cache_foci import FOCI
 from .cache_meta import ClaySlice, Meta
 
 __all__ = [
@@ -125,6 +126,10 @@ class Cache:
             if arrays[name].shape != shape or arrays[name].dtype != np.float32:
                 raise CacheDamagedError(f"{path.name} holds {name} of the wrong size")
         return Frame(number, arrays["positions"], arrays["velocities"], arrays["inputs"].tobytes())
+
+    def foci_frames(self) -> list[int]:
+        """Numbers of the frames that focal points were recorded with, sorted."""
+        return self._numbers(FOCI)
 
     def read_colors(self) -> NDArray[np.float32]:
         """Colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
@@ -327,7 +332,7 @@ class Cache:
             path
             for path in paths
             if path.name in ("meta.json", "colors.npz", _LOCK)
-            or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, _TEMPORARY))
+            or any(p.fullmatch(path.name) for p in (_FRAME, _CHECKPOINT, FOCI, _TEMPORARY))
         ]
 
     def _check_own(self) -> None:

@@ -87,8 +87,8 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
         return int(end.code or 0)
     try:
         # What Blender and Warp print belongs to the standard error: the standard output has the
-        # result and nothing else. The demonstration sees to that itself.
-        with contextlib.nullcontext() if arguments.carry_out is _demo else _diverted():
+        # result and nothing else.
+        with contextlib.nullcontext() if _prints_itself(arguments) else _diverted():
             code, result = arguments.carry_out(arguments)
         if result:
             print(result, flush=True)
@@ -99,6 +99,11 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _prints_itself(arguments: argparse.Namespace) -> bool:
+    """Whether a command says on its own what it does, while it does it."""
+    return arguments.carry_out in (_demo, _array_server)
 
 
 def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
@@ -183,6 +188,10 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
     add_file_options(info)
 
     if names_file:
+        from ..haptics.array_server.command import add_arguments as add_server_arguments
+
+        server = add("array-server", "drive an ultrasound array with focal points", _array_server)
+        add_server_arguments(server)
         demo = add("demo", "make and render the kindergarten scene", _demo)
         demo.add_argument(
             "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
@@ -289,6 +298,12 @@ def _info(arguments: argparse.Namespace) -> _Outcome:
     bake = table["bake"]
     unsound = bake["stale"] or bake["missing"] or bake["problem"]
     return EXIT_STALE if unsound else EXIT_DONE, _text(arguments, table, describe(table))
+
+
+def _array_server(arguments: argparse.Namespace) -> _Outcome:
+    from ..haptics.array_server.command import carry_out
+
+    return carry_out(arguments), ""
 
 
 def _demo(arguments: argparse.Namespace) -> _Outcome:

@@ -2,6 +2,7 @@
 """From contact forces to focal points on an ultrasound array. Never imports Blender."""
 
 from .acoustic_field import acoustic_field
+from .array_server import ArrayClient, ArrayStatus
 from .drive import solve_drive
 from .drive_steps import drive_steps
 from .focal_points import Foci, focus, reconstruct
@@ -11,6 +12,8 @@ from .spatiotemporal import Route, plan_route
 from .transducer_array import TransducerArray
 
 __all__ = [
+    "ArrayClient",
+    "ArrayStatus",
     "Foci",
     "PressureField",
     "Route",

@@ -12,6 +12,7 @@ import json
 import math
 import os
 import platform
+import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +23,7 @@ import warp as wp
 
 from tactile_clay.solver import Settings
 
-from . import touch
+from . import touch, touch_latency, touch_silence
 from .cases import FRAME, Case, chosen
 
 
@@ -104,12 +105,21 @@ def main() -> None:
     for part in touches:
         touched.append(touch.measure(part))
         print(touch.sentence(touched[-1]), flush=True)
+    latencies = [] if options.cases else touch_latency.measure_all()
+    for figures in latencies:
+        print(touch_latency.sentence(figures), flush=True)
+    # An array is emulated on a pty.
+    silences = [] if options.cases or sys.platform == "win32" else touch_silence.measure_silence()
+    for figures in silences:
+        print(touch_silence.sentence(figures), flush=True)
     options.output.mkdir(parents=True, exist_ok=True)
     data = {
         "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), "warp": wp.__version__},
         "cases": results,
         "touch": touched,
+        "touch_latency": latencies,
+        "touch_silence": silences,
     }
     path = options.output / "bench.json"
     path.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")

@@ -54,6 +54,19 @@ def test_addon_registers_without_importing_warp() -> None:
     assert "warp loaded: False" in result.stdout
 
 
+def test_addon_registers_without_what_only_touch_needs() -> None:
+    """Leave the packages of arrays alone while the add-on registers, and do without them."""
+    result = run_python(
+        BLOCK.format(names={"serial", "usb", "autd3", "libusb_package"})
+        + "import bpy, tactile_clay\n"
+        "tactile_clay.register()\n"
+        "tactile_clay.unregister()\n"
+        "print('haptics loaded:', 'tactile_clay.haptics' in sys.modules)"
+    )
+    assert result.returncode == 0, result.stderr
+    assert "haptics loaded: False" in result.stdout
+
+
 def test_addon_registers_where_warp_is_missing() -> None:
     """Register and unregister where a broken installation has no Warp."""
     result = run_python(

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From focal points to an array that is always safe: a process of its own, and its client."""
+
+from .client import DEFAULT_PORT, ArrayClient, ArrayServerError, ArrayStatus
+from .datagram import Modulation
+from .limits import Limits
+
+__all__ = [
+    "DEFAULT_PORT",
+    "ArrayClient",
+    "ArrayServerError",
+    "ArrayStatus",
+    "Limits",
+    "Modulation",
+]

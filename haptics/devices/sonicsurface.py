@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""SonicSurface: 256 transducers on a serial port at 230,400 baud (upnalab/SonicSurface, MIT).
+
+A frame is ``FE``, 256 phase bytes, ``FD``, and takes 11.2 ms; nothing is acknowledged. A phase byte
+is a delay in 32nds of a period, 32 is off. ``FD`` exchanges the pattern that sounds and the one
+that was written last, so a lone one brings back what sounded before. The stock board starts with
+sound. Tried against an emulator of that protocol only, never on a device.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drive_steps import drive_steps
+from ..transducer_array import TransducerArray
+from .device import MODULATION_FREQUENCY, DeviceError, DeviceName, FoundDevice
+from .exchanging_board import DeviceExchangingBoard
+from .serial_port import list_ports
+
+BAUD = 230_400
+START, EXCHANGE, OFF = 0xFE, 0xFD, 32
+CLOCKS_ON = 0x97
+PRIMARY, SECONDARY = 0xC0, 0xC1
+MODULATION = 0xA0
+_TACTILE_STEP = round(1250 / MODULATION_FREQUENCY) - 1
+"""The tactile firmware modulates at 1,250 Hz / (step + 1)."""
+
+
+def list_devices() -> list[FoundDevice]:
+    """Serial ports that are plugged in: which board is behind one cannot be seen.
+
+    Raises:
+        DeviceError: pyserial is not installed.
+    """
+    return list_ports("sonicsurface")
+
+
+def board_order(array: TransducerArray) -> NDArray[np.int64]:
+    """Which byte of a frame each transducer of the array has, shape [T].
+
+    Args:
+        array: A grid of columns (along X) and rows (along Y), in its own coordinates.
+    """
+    x, y = array.positions[:, 0], array.positions[:, 1]
+    pitch = float(np.min(np.diff(np.unique(np.round(x, 6)))))
+    column = np.rint((x - x.min()) / pitch).astype(np.int64)
+    row = np.rint((y - y.min()) / pitch).astype(np.int64)
+    within = np.array(((0, 7, 1, 2), (4, 3, 6, 5)))
+    return np.asarray(64 * (column // 4) + 8 * (row // 2) + within[row % 2, column % 4])
+
+
+class DeviceSonicSurface(DeviceExchangingBoard):
+    """``sonicsurface:PORT,firmware=stock|tactile,boards=1|2``.
+
+    With the *tactile* firmware the board itself modulates, at 208 Hz (the step of 1,250 Hz that is
+    nearest to 200), whatever an emission asks for; phases are in 16ths, and it takes 88 frames a
+    second. The *stock* firmware is modulated by exchanges and takes 30. With two boards the array's
+    bytes are halved between them.
+    """
+
+    def __init__(self, name: DeviceName) -> None:
+        name.check_options("firmware", "boards")
+        self._tactile = name.choice("firmware", ("stock", "tactile")) == "tactile"
+        self._two_boards = name.choice("boards", ("1", "2")) == "2"
+        if self._tactile and self._two_boards:
+            raise DeviceError("The tactile firmware drives one board only. Leave boards=2 out.")
+        super().__init__(
+            "sonicsurface",
+            name.address,
+            baud=BAUD,
+            exchange=EXCHANGE,
+            # Selects the board that is selected already.
+            filling=None if self._tactile else PRIMARY,
+        )
+        array = TransducerArray.preset("sonicsurface")
+        self.array = replace(array, phase_steps=16) if self._tactile else array
+        self._order = board_order(self.array)
+
+    def _greeting(self) -> bytes:
+        return b"" if self._tactile else bytes([CLOCKS_ON])
+
+    def _upload(self, drive: NDArray[np.complex128], *, modulated: bool) -> bytes:
+        phases, amplitudes = drive_steps(self.array, drive)
+        pattern = np.empty(self.array.count, np.uint8)
+        pattern[self._order] = np.where(amplitudes > 0, phases * (2 if self._tactile else 1), OFF)
+        data = pattern.tobytes()
+        # A board obeys the start only while it is selected, and it may have been left deselected.
+        if self._tactile:
+            return bytes([MODULATION | _TACTILE_STEP, START]) + data
+        if not self._two_boards:
+            return bytes([PRIMARY, START]) + data
+        half = len(data) // 2
+        head = bytes([PRIMARY, START, SECONDARY, START, PRIMARY])
+        return head + data[:half] + bytes([SECONDARY]) + data[half:]
