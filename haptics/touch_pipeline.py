@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .focal_points import focus, reconstruct
+from .pressure_field import PressureField
 from .transducer_array import TransducerArray
 
 
@@ -71,7 +72,6 @@ class TouchPipeline:
         Raises:
             ValueError: Shapes do not fit, or an option is out of its range.
         """
-        haptics: Any = importlib.import_module(__package__)
         fields = []
         for index, contact in enumerate(contacts):
             last = self._fields[index] if dt is not None and index < len(self._fields) else None
@@ -79,7 +79,7 @@ class TouchPipeline:
                 # A hand that was bound anew has other ghosts.
                 last = None
             fields.append(
-                haptics.PressureField.from_contacts(
+                PressureField.from_contacts(
                     contact,
                     array.position,
                     weights=weights[index] if index < len(weights) else None,
@@ -90,8 +90,8 @@ class TouchPipeline:
                 )
             )
         self._fields = fields
-        field = haptics.PressureField.joined(fields)
-        self._foci = haptics.focus(
+        field = PressureField.joined(fields)
+        self._foci = focus(
             field.positions,
             field.pressures,
             field.weights,
@@ -106,5 +106,5 @@ class TouchPipeline:
             self._foci.sigma,
             field.positions,
             field.pressures,
-            haptics.reconstruct(self._foci, field.positions),
+            reconstruct(self._foci, field.positions),
         )

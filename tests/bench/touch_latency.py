@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import sys
 import threading
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_clay.haptics import ArrayClient, TransducerArray
+from tactile_clay.haptics import ArrayClient, PressureField, TransducerArray, focus
 
 GHOSTS = 2000
 FRAME = 1 / 60
@@ -62,18 +61,17 @@ def palm_contacts(frame: int) -> Contacts:
 
 def foci_of_contacts() -> FociOf:
     """The whole way that a live scene goes: pressure field, then focal points, warm-started."""
-    haptics: Any = importlib.import_module("tactile_clay.haptics")
     array = TransducerArray.preset("sonicsurface")
     # A solver would have them: making them does not count.
     given = [palm_contacts(frame) for frame in range(_ROUND)]
     last: dict[str, Any] = {"field": None, "foci": None}
 
     def next_foci(frame: int) -> Any:
-        field = haptics.PressureField.from_contacts(
+        field = PressureField.from_contacts(
             given[frame % _ROUND], array.position, previous=last["field"], dt=FRAME
         )
         last["field"] = field
-        last["foci"] = haptics.focus(
+        last["foci"] = focus(
             field.positions,
             field.pressures,
             field.weights,
