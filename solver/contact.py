@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from . import contact_cpu
 from .colliders import MeshColliders, PlaneColliders
 from .contact_law import (
+    DEPENETRATION_SPEED,
     MOST_CONTACTS,
     ContactPass,
     ContactSlots,
@@ -21,6 +22,7 @@ from .contact_law import (
     settle_all_contacts,
     wake_contacts,
 )
+from .hand import Hand
 from .particles import ByPart, Particles
 from .scene import MeshCollider, Plane, Scene
 
@@ -31,7 +33,7 @@ class Contacts:
     A scene without colliders keeps no slots.
 
     Args:
-        scene: Its planes and meshes are the colliders, in this order.
+        scene: Its planes, meshes and hands are the colliders, in this order.
         particles: What they touch.
         friction: Whether friction acts.
     """
@@ -39,9 +41,15 @@ class Contacts:
     def __init__(self, scene: Scene, particles: Particles, *, friction: bool) -> None:
         self.particles = particles
         self.device = device = particles.device
-        self.colliders: list[Plane | MeshCollider] = [*scene.planes, *scene.meshes]
+        self.colliders: list[Plane | MeshCollider | Hand] = [
+            *scene.planes,
+            *scene.meshes,
+            *scene.hands,
+        ]
         self.planes = PlaneColliders(scene.planes, device) if scene.planes else None
-        self.meshes = MeshColliders(scene.meshes, particles.count, device) if scene.meshes else None
+        self.meshes = MeshColliders(scene, particles) if scene.meshes or scene.hands else None
+        self.time_step = 0.0
+        """Length of the last substep [s]."""
         self._plane_count = len(scene.planes)
         rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
         slots = ContactSlots()
@@ -54,6 +62,7 @@ class Contacts:
             ("impulse", wp.vec3),
             ("normal_stiffness", float),
             ("friction_stiffness", float),
+            ("stick_stiffness", float),
             ("collider_before", int),
             ("anchor_before", wp.vec3),
             ("slide", float),
@@ -62,6 +71,19 @@ class Contacts:
             ("push_before", float),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
+        soft_rows = (particles.count if scene.hands else 0, MOST_CONTACTS)
+        for name, dtype in (
+            ("compliance", wp.vec2),
+            ("lean", wp.vec3),
+            ("carried", wp.vec3),
+            ("carried_before", wp.vec3),
+            ("face", int),
+            ("place", wp.vec2),
+        ):
+            setattr(slots, name, wp.zeros(soft_rows, dtype=dtype, device=device))
+        slots.recovery_speed = wp.full(
+            len(self.colliders), DEPENETRATION_SPEED, dtype=float, device=device
+        )
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
         slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots
@@ -70,6 +92,8 @@ class Contacts:
             for row, material in enumerate(particles.materials):
                 for column, collider in enumerate(self.colliders):
                     table[row, column] = math.sqrt(material.friction * collider.friction)
+        self._full_friction = table
+        self._hold = np.ones(len(self.colliders))
         self.friction = wp.array(table, dtype=float, device=device)
         """Of each material on each collider: the geometric mean of the two."""
         around = Surroundings()
@@ -77,7 +101,15 @@ class Contacts:
         around.plane_normal = self.planes.normal if self.planes else _nothing(wp.vec3, device)
         around.clearance = wp.zeros((0, 0), dtype=float, device=device)
         if self.meshes:
-            for name in ("mesh", "substep", "reach", "travel", "clearance"):
+            for name in (
+                "mesh",
+                "substep",
+                "reach",
+                "travel",
+                "clearance",
+                "first_face",
+                "compliance",
+            ):
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
         self._near = (
@@ -113,13 +145,28 @@ class Contacts:
     def wake(self, woken: wp.array) -> None:
         """Take up the contacts of particles that wake, given their indices."""
         if self.colliders:
-            inputs = [woken, self.slots, self._surroundings.clearance, self.resting_force]
+            clearance = self._surroundings.clearance
+            inputs = [woken, self.time_step, self.slots, clearance, self.resting_force]
             wp.launch(wake_contacts, dim=len(woken), inputs=inputs, device=self.device)
 
     def begin_step(self) -> None:
         """Forget what the last step summed up."""
         self.impulse.zero_()
         self.deepest.zero_()
+        if self.meshes and self.meshes.hands:
+            self._take_hold()
+
+    def _take_hold(self) -> None:
+        """Let hands that have just come take hold of the clay by and by."""
+        assert self.meshes is not None
+        hold = np.ones(len(self.colliders))
+        for hand in self.meshes.hands:
+            hold[hand.collider] = hand.hold
+        if not np.array_equal(hold, self._hold):
+            self._hold = hold
+            self.friction.assign((self._full_friction * hold).astype(np.float32))
+            speeds = DEPENETRATION_SPEED * hold
+            self.slots.recovery_speed.assign(speeds.astype(np.float32))
 
     def find(self, common: ContactPass) -> None:
         """Find the contacts of a substep; those that were there before keep their anchors."""
@@ -209,6 +256,7 @@ class Contacts:
             "contact_resting_force": self.resting_force.numpy().copy(),
             "contact_slide": self.slots.slide.numpy().copy(),
             "contact_push": self.slots.push.numpy().copy(),
+            "contact_carried": self.slots.carried.numpy().copy(),
             **(self.meshes.snapshot() if self.meshes else {}),
         }
 
@@ -223,6 +271,7 @@ class Contacts:
         self.resting_force.assign(state["contact_resting_force"])
         self.slots.slide.assign(state["contact_slide"])
         self.slots.push.assign(state["contact_push"])
+        self.slots.carried.assign(state["contact_carried"])
         if self.meshes:
             self.meshes.restore(state)
 

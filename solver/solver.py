@@ -11,12 +11,15 @@ from .clay_model import ClayModel
 from .contact import Contacts
 from .contact_law import MARGIN, ContactPass
 from .diagnostics import Diagnostics
+from .hand import Hand, HandContacts
 from .paper_model import PaperModel
 from .particles import Particles
 from .plastic_bonds import PlasticBonds
 from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
 from .settings import BASE_STEP, Settings
+from .soft_hand import SoftHand
+from .soft_hand_flesh import part_of_way
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""
@@ -108,7 +111,7 @@ class Solver:
         substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
         motion = 0.0
         if self._contacts.meshes:
-            substeps, motion = self._plan_colliders(shortest, substeps)
+            substeps, motion = self._plan_colliders(shortest, substeps, duration)
         else:
             self._wake([])
         self._limit_speed(speed, motion / duration, duration)
@@ -120,6 +123,10 @@ class Solver:
                 self._run_substep(time_step, substep, substeps)
             self._regions.measure(duration)
             self._doze(duration)
+        elif self._hands:
+            self._rest_on_hands(duration)
+        for hand in self._hands:
+            hand.end_step()
         self.time += duration
         self._duration = duration
         self._substeps = substeps
@@ -166,7 +173,20 @@ class Solver:
         self._speed_before = kept
         self._particles.speed_limit.fill_(max(SPEED_MARGIN * kept, thrown) + fall)
 
-    def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
+    @property
+    def _hands(self) -> list[SoftHand]:
+        meshes = self._contacts.meshes
+        return meshes.hands if meshes else []
+
+    def _rest_on_hands(self, duration: float) -> None:
+        """Move hands that no clay is awake to see, and let clay weigh on them."""
+        for hand in self._hands:
+            hand.begin_substep(0, 1, duration)
+            hand.gather(self._contacts.slots, duration)
+
+    def _plan_colliders(
+        self, shortest: int, substeps: int, duration: float
+    ) -> tuple[int, float]:
         """Substeps such that no collider near the clay moves more than half a particle's radius.
 
         Returns:
@@ -191,19 +211,24 @@ class Solver:
         farthest = max(swept, default=0.0)
         substeps = max(substeps, math.ceil(farthest / stride))
         self._teleported += sum(teleported)
-        meshes.begin_step(substeps, motions, teleported)
+        meshes.begin_step(duration, substeps, motions, boxes, teleported, near)
         return substeps, farthest
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
         if self._contacts.meshes:
-            self._contacts.meshes.begin_substep(substep, substeps)
+            self._contacts.meshes.begin_substep(substep, substeps, time_step)
         common = ContactPass()
         common.time_step = time_step
         common.time_step_before = self._time_step_before
         common.radius = 0.5 * self.scene.spacing
         common.margin = MARGIN * self.scene.spacing
+        common.yielding = part_of_way(time_step) if self._hands else 0.0
         self._model.run_substep(common)
-        self._time_step_before = time_step
+        for hand in self._hands:
+            hand.gather(self._contacts.slots, time_step)
+            if substep == substeps - 1:
+                hand.learn_compliance(self._contacts.slots, time_step)
+        self._time_step_before = self._contacts.time_step = time_step
 
     def positions(self) -> NDArray[np.float32]:
         """Particle positions [m], shape [N, 3], in the order added."""
@@ -217,17 +242,35 @@ class Solver:
         """Particle colours, linear RGBA in 0..1, shape [N, 4], in the order added."""
         return self._colors.copy()
 
-    def force_on(self, collider: Plane | MeshCollider) -> NDArray[np.float64]:
-        """Force of the clay on a plane or mesh [N], shape [3], mean over the last step.
+    def force_on(self, collider: Plane | MeshCollider | Hand) -> NDArray[np.float64]:
+        """Force of the clay on a plane, mesh or hand [N], shape [3], mean over the last step.
 
         Raises:
             ValueError: The collider is not part of this solver's scene.
         """
+        for hand in self._hands:
+            if hand.hand is collider:
+                return hand.force(self._duration)
         for which, known in enumerate(self._contacts.colliders):
             if known is collider:
                 moving = self._contacts.impulse.numpy().sum(0)[which] / self._duration
                 return moving + self._contacts.resting_force.numpy()[which]
         raise ValueError("That collider is not in the scene this solver was built from.")
+
+    def contacts(self, hand: Hand) -> HandContacts:
+        """What the ghosts on a hand's skin feel, mean over the last step.
+
+        Their forces add up to `force_on` the hand, and that to what the clay felt of it, turned
+        round. While a hand arrives that jumped or was lost, clay inside it is moved out gently, and
+        that counts as no force.
+
+        Raises:
+            ValueError: The hand is not part of this solver's scene.
+        """
+        for known in self._hands:
+            if known.hand is hand:
+                return known.contacts(self._duration)
+        raise ValueError("That hand is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:
         """Figures of the last step and counts since the beginning."""
@@ -256,6 +299,12 @@ class Solver:
         passes = self._model.passes()
         if self.scene.meshes:
             passes.append(f"contact with {len(self.scene.meshes)} meshes")
+        for hand in self.scene.hands:
+            passes.insert(
+                0, f"soft hand of {len(hand.rig.nodes)} nodes, {len(hand.rig.tetrahedra)} tetrahedra"
+            )
+        if self.scene.hands:
+            passes.append(f"contact with {len(self.scene.hands)} hands, forces on their ghosts")
         if self.scene.planes:
             passes.append(f"contact with {len(self.scene.planes)} planes")
         passes.append("motion")
@@ -305,6 +354,7 @@ class Solver:
         self.time = float(snapshot["time"])
         self._speed_before = float(snapshot["speed_before"])
         self._time_step_before = float(snapshot["time_step_before"])
+        self._contacts.time_step = self._time_step_before
         self._teleported = int(snapshot["teleported"])
         self._particles.restore(snapshot)
         self._regions.restore(snapshot)

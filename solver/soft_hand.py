@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A soft hand through a step: bones lead, flesh follows and gives, clay pushes back."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from .contact_law import DEPENETRATION_SPEED, ContactSlots
+from .hand import Hand, HandContacts
+from .particles import Particles
+from .recording import Recordings
+from .soft_hand_bones import BonePath
+from .soft_hand_contact import (
+    HandForces,
+    carry_skin,
+    gather_forces,
+    make_skin,
+    measure_response,
+    spread_compliance,
+)
+from .soft_hand_flesh import Flesh, part_of_way
+from .soft_hand_rest import rest_of
+
+ITERATIONS = 10
+"""Of conjugate gradients in a substep."""
+ARRIVAL_TIME = 0.2
+"""A hand that jumps or comes back takes hold of the clay over this long [s]."""
+LONGEST_ARRIVAL = 1.0
+"""After this long it has arrived, even if clay is still inside it [s]."""
+ARRIVED_DEPTH = 0.1
+"""A hand has arrived when no particle's ball lies this deep inside it, in spacings."""
+COMPLIANCE_MEMORY = 0.7
+"""Of what particles are told about how much flesh gives, this much stays from step to step."""
+COMPLIANCE_RANGE = (0.05, 30.0)
+"""Bounds of what particles are told, over the compliance of flesh under a lone particle."""
+
+
+class SoftHand:
+    """One hand of a scene on the device.
+
+    Args:
+        hand: The hand.
+        collider: Its place among all colliders.
+        row: Its place among the meshes.
+        first_face: Where its faces begin in ``compliance``.
+        compliance: How much each face of soft hands gives to a contact [m/N].
+        travel: What each mesh moves in a substep at most [m].
+        particles: The clay.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        *,
+        collider: int,
+        row: int,
+        first_face: int,
+        compliance: wp.array,
+        travel: wp.array,
+        particles: Particles,
+    ) -> None:
+        rig = hand.rig
+        self.hand = hand
+        self.device = device = particles.device
+        self.particles = particles
+        self.row = row
+        self.collider = collider
+        self._first_face = first_face
+        self._compliance = compliance
+        self._travel = travel
+        self.path = BonePath(rig.bone_rest)
+        self.path.start = hand.bones.copy()
+        self.flesh = Flesh(
+            rig,
+            rest_of(rig),
+            young_modulus=hand.young_modulus,
+            poisson_ratio=hand.poisson_ratio,
+            iterations=ITERATIONS,
+            device=device,
+        )
+        self.skin = make_skin(rig, collider, particles.spacing, device)
+        self._surface = np.flatnonzero(rig.ghost_areas > 0.0)
+        self._mesh = wp.Mesh(
+            points=wp.array(rig.vertices, dtype=wp.vec3, device=device),
+            indices=wp.array(rig.faces.ravel(), dtype=int, device=device),
+            velocities=wp.zeros(len(rig.vertices), dtype=wp.vec3, device=device),
+        )
+        bones = len(rig.bone_names)
+        forces = HandForces()
+        forces.impulse = wp.zeros(len(self._surface), dtype=wp.vec3d, device=device)
+        forces.load = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
+        forces.touched = wp.zeros(1, dtype=int, device=device)
+        forces.deepest = wp.zeros(1, dtype=float, device=device)
+        forces.axis = wp.zeros(1, dtype=wp.vec3, device=device)
+        forces.press = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
+        forces.drag = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
+        forces.response = wp.zeros(bones, dtype=wp.vec2d, device=device)
+        forces.probed = wp.zeros(bones, dtype=wp.vec2d, device=device)
+        self.forces = forces
+        self._lone = 1.0 / (hand.young_modulus * particles.spacing)
+        self._by_bone = wp.zeros(bones, dtype=wp.vec2, device=device)
+        self._boxes = _boxes_of_bones(hand)
+        self._recordings = Recordings(particles, by_part=False)
+        self._arrival = LONGEST_ARRIVAL
+        """Time since the hand came here [s]."""
+        self._arrived = True
+        self._turn = False
+        self.present = hand.tracked
+        self._tell_compliance(np.full((bones, 2), self._lone))
+        self._place()
+
+    def _place(self) -> None:
+        """Put the hand to the start of its way at once."""
+        self.path.aim(self.path.start)
+        self._move(1.0, 1.0)
+        self._mesh.velocities.zero_()
+        self._travel[self.row : self.row + 1].zero_()
+
+    @property
+    def mesh_id(self) -> int:
+        """Of the skin."""
+        return int(self._mesh.id)
+
+    def plan(self) -> tuple[float, NDArray[np.float64]]:
+        """How far bones are going to take any point in this step, and where.
+
+        Returns:
+            A distance [m], and the box that the hand sweeps, shape [2, 3].
+        """
+        target = self.hand.bones if self.hand.tracked else self.path.start
+        before = self._carried_boxes(self.path.start)
+        after = self._carried_boxes(target)
+        swept = np.concatenate([before, after])
+        return float(np.sqrt(((after - before) ** 2).sum(1).max())), np.array(
+            [swept.min(0), swept.max(0)]
+        )
+
+    def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Corners of the boxes around what each bone carries [m]: all flesh lies between them."""
+        turns = self.path.turns(poses)[self._boxes[0]]
+        return (
+            np.einsum("bij,bkj->bki", turns[:, :3, :3], self._boxes[1]) + turns[:, None, :3, 3]
+        ).reshape(-1, 3)
+
+    def begin_step(self, duration: float, *, jumps: bool, near: bool) -> None:
+        """Set out for the bones' next poses.
+
+        Args:
+            duration: Of the step [s].
+            jumps: Whether the hand is there at once instead of sweeping the way.
+            near: Whether clay may be touched on the way.
+        """
+        returns = self.hand.tracked and not self.present
+        self.present = self.hand.tracked
+        self._whole = not near
+        self.forces.impulse.zero_()
+        if jumps or returns:
+            self.path.start = self.hand.bones.copy()
+            self.forces.load.zero_()
+            self._place()
+            self._arrival = 0.0
+            self._arrived = False
+        elif self.present:
+            self.path.aim(self.hand.bones)
+            self._arrival += duration
+        if not self._arrived:
+            clear = float(self.forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
+            self._arrived = self._arrival >= (ARRIVAL_TIME if clear else LONGEST_ARRIVAL)
+
+    @property
+    def hold(self) -> float:
+        """How firmly the hand takes hold of the clay: 1 but for a moment after it came."""
+        return min(self._arrival / ARRIVAL_TIME, 1.0) if self.present else 0.0
+
+    @property
+    def recovery_speed(self) -> float:
+        """How fast clay inside it is moved out [m/s]."""
+        return DEPENETRATION_SPEED * self.hold
+
+    def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
+        """Move on to the end of a substep.
+
+        Args:
+            substep: Which.
+            substeps: Of how many.
+            time_step: Its length [s].
+        """
+        if self._whole:
+            # Away from clay nothing sees the way, only where it leads.
+            if substep == 0:
+                self._move(1.0, part_of_way(substeps * time_step))
+            elif substep == 1:
+                self._mesh.velocities.zero_()
+                self._travel[self.row : self.row + 1].zero_()
+            return
+        self._move((substep + 1) / substeps, part_of_way(time_step))
+
+    def end_step(self) -> None:
+        """Arrive."""
+        self._turn = not self._turn
+        self.path.arrive()
+        self.path.aim(self.path.end)
+
+    def _move(self, fraction: float, part: float) -> None:
+        poses, frames = self.path.poses(fraction)
+        data = self.flesh.data
+        data.turn.assign(self.path.turns(poses).astype(np.float32))
+        data.bone_frame.assign(frames.astype(np.float32))
+        self._recordings.run(("move", part), lambda: self._launch_move(part))
+        self._mesh.refit()
+
+    def _launch_move(self, part: float) -> None:
+        flesh = self.flesh
+        flesh.carry()
+        flesh.linearize()
+        flesh.relax(self.forces.load, part)
+        self._travel[self.row : self.row + 1].zero_()
+        mesh = self._mesh
+        inputs = [
+            self.skin,
+            flesh.data.position,
+            self.row,
+            mesh.points,
+            mesh.velocities,
+            self._travel,
+        ]
+        wp.launch(carry_skin, dim=len(mesh.points), inputs=inputs, device=self.device)
+
+    def gather(self, slots: ContactSlots, time_step: float) -> None:
+        """Take up the forces of a substep of ``time_step`` [s]."""
+        if self._whole:
+            return
+        self.forces.axis.assign(self._probe_axis())
+        reported = 1.0 if self._arrived else 0.0
+        self._recordings.run(
+            ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
+        )
+
+    def _gather(self, slots: ContactSlots, time_step: float, reported: float) -> None:
+        particles, forces = self.particles, self.forces
+        forces.load.zero_()
+        forces.press.zero_()
+        forces.drag.zero_()
+        forces.touched.zero_()
+        forces.deepest.zero_()
+        inputs = [time_step, reported, particles.resting, slots, self.skin, forces]
+        wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
+
+    def learn_compliance(self, slots: ContactSlots, time_step: float) -> None:
+        """Find how much the flesh gives to what presses it now."""
+        if self._whole or not self.forces.touched.numpy()[0]:
+            return
+        self._recordings.run(("learn", time_step), lambda: self._respond(slots, time_step))
+        response, probed = self.forces.response.numpy(), self.forces.probed.numpy()
+        low, high = COMPLIANCE_RANGE
+        known = probed > 1e-9
+        given = np.divide(response, probed, out=np.full(probed.shape, self._lone), where=known)
+        given = np.clip(given, low * self._lone, high * self._lone)
+        before = self._by_bone.numpy().astype(float)
+        self._tell_compliance(
+            np.where(known, before + (1.0 - COMPLIANCE_MEMORY) * (given - before), self._lone)
+        )
+
+    def _respond(self, slots: ContactSlots, time_step: float) -> None:
+        particles, forces = self.particles, self.forces
+        forces.response.zero_()
+        forces.probed.zero_()
+        for along, probe in ((False, forces.press), (True, forces.drag)):
+            response = self.flesh.respond(probe)
+            inputs = [time_step, particles.resting, slots, self.skin, along, response, forces]
+            wp.launch(measure_response, dim=particles.count, inputs=inputs, device=self.device)
+
+    def _probe_axis(self) -> NDArray[np.float32]:
+        """A direction across the force on the hand, another every step, shape [1, 3]."""
+        force = self.forces.impulse.numpy().sum(0)
+        if not force.any():
+            force = np.array((0.0, 0.0, 1.0))
+        first = np.cross(force, np.eye(3)[np.abs(force).argmin()])
+        axis = first if self._turn else np.cross(force, first)
+        return (axis / np.linalg.norm(axis)).astype(np.float32)[None]
+
+    def _tell_compliance(self, by_bone: NDArray[np.float64]) -> None:
+        self._by_bone.assign(by_bone.astype(np.float32))
+        wp.launch(
+            spread_compliance,
+            dim=len(self.skin.group),
+            inputs=[self._first_face, self.skin.group, self._by_bone, self._compliance],
+            device=self.device,
+        )
+
+    def force(self, duration: float) -> NDArray[np.float64]:
+        """Force of the clay [N], shape [3], mean over a step of ``duration`` [s]."""
+        return self.forces.impulse.numpy().sum(0) / duration
+
+    def contacts(self, duration: float) -> HandContacts:
+        """What ghosts feel, mean over a step of ``duration`` [s]."""
+        rig, surface = self.hand.rig, self._surface
+        nodes = self.flesh.data.position.numpy().astype(float)
+        corners = nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
+        rest = rig.nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
+        deformed = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+        undeformed = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
+        # Normals turn with the cofactors of the deformation.
+        gradient = deformed @ np.linalg.inv(undeformed)
+        first, second, third = np.moveaxis(gradient, 2, 0)
+        cofactors = np.stack(
+            [np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=2
+        )
+        normals = np.einsum("gij,gj->gi", cofactors, rig.ghost_normals[surface])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        return HandContacts(
+            positions=np.einsum("gk,gkd->gd", rig.ghost_weights[surface], corners),
+            normals=normals,
+            areas=rig.ghost_areas[surface].copy(),
+            forces=self.forces.impulse.numpy() / duration,
+        )
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """Where the hand is, and what it feels."""
+        state = {f"flesh_{name}": value for name, value in self.flesh.snapshot().items()}
+        state["bones"] = self.path.start.copy()
+        state["present"] = np.array(self.present)
+        state["arrival"] = np.array([self._arrival, float(self._arrived)])
+        state["skin"] = self._mesh.points.numpy().copy()
+        for name in ("impulse", "load", "touched", "deepest"):
+            state[name] = getattr(self.forces, name).numpy().copy()
+        state["compliance"] = self._by_bone.numpy().copy()
+        return {f"hand_{self.row}_{name}": value for name, value in state.items()}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        own = {
+            name.removeprefix(f"hand_{self.row}_"): value
+            for name, value in state.items()
+            if name.startswith(f"hand_{self.row}_")
+        }
+        self.flesh.restore(
+            {name.removeprefix("flesh_"): own[name] for name in own if name.startswith("flesh_")}
+        )
+        self.path.start = own["bones"].copy()
+        self.path.aim(self.path.start)
+        self.present = bool(own["present"])
+        self._arrival, self._arrived = float(own["arrival"][0]), bool(own["arrival"][1])
+        self._mesh.points.assign(own["skin"])
+        self._mesh.velocities.zero_()
+        self._mesh.refit()
+        for name in ("impulse", "load", "touched", "deepest"):
+            getattr(self.forces, name).assign(own[name])
+        self._tell_compliance(own["compliance"].astype(float))
+
+
+def _boxes_of_bones(hand: Hand) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Bones that carry nodes, and the corners of the box around those at rest [m], [K, 8, 3]."""
+    rig = hand.rig
+    bones, corners = [], []
+    for bone in range(len(rig.bone_names)):
+        own = rig.nodes[((rig.node_bones == bone) & (rig.node_weights > 0.0)).any(1)]
+        if len(own):
+            low, high = own.min(0), own.max(0)
+            bones.append(bone)
+            corners.append(
+                [[(low, high)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)]
+            )
+    return np.array(bones), np.array(corners)
