@@ -18,12 +18,13 @@ from .soft_hand_contact import (
     gather_forces,
     make_skin,
     measure_response,
+    probe_skin,
     spread_compliance,
 )
 from .soft_hand_flesh import Flesh, part_of_way
 from .soft_hand_rest import rest_of
 
-ITERATIONS = 10
+ITERATIONS = 6
 """Of conjugate gradients in a substep."""
 ARRIVAL_TIME = 0.2
 """A hand that jumps or comes back takes hold of the clay over this long [s]."""
@@ -94,10 +95,8 @@ class SoftHand:
         forces.touched = wp.zeros(1, dtype=int, device=device)
         forces.deepest = wp.zeros(1, dtype=float, device=device)
         forces.axis = wp.zeros(1, dtype=wp.vec3, device=device)
-        forces.press = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
-        forces.drag = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
+        forces.probe = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
         forces.response = wp.zeros(bones, dtype=wp.vec2d, device=device)
-        forces.probed = wp.zeros(bones, dtype=wp.vec2d, device=device)
         self.forces = forces
         self._lone = 1.0 / (hand.young_modulus * particles.spacing)
         self._by_bone = wp.zeros(bones, dtype=wp.vec2, device=device)
@@ -106,7 +105,7 @@ class SoftHand:
         self._arrival = LONGEST_ARRIVAL
         """Time since the hand came here [s]."""
         self._arrived = True
-        self._turn = False
+        self._probe = 0
         self.present = hand.tracked
         self._tell_compliance(np.full((bones, 2), self._lone))
         self._place()
@@ -195,26 +194,28 @@ class SoftHand:
                 self._mesh.velocities.zero_()
                 self._travel[self.row : self.row + 1].zero_()
             return
-        self._move((substep + 1) / substeps, part_of_way(time_step))
+        # The tangent may lag behind: no substep goes the whole way that it tells.
+        self._move((substep + 1) / substeps, part_of_way(time_step), fresh=substep == 0)
 
     def end_step(self) -> None:
         """Arrive."""
-        self._turn = not self._turn
         self.path.arrive()
         self.path.aim(self.path.end)
 
-    def _move(self, fraction: float, part: float) -> None:
+    def _move(self, fraction: float, part: float, *, fresh: bool = True) -> None:
         poses, frames = self.path.poses(fraction)
         data = self.flesh.data
         data.turn.assign(self.path.turns(poses).astype(np.float32))
         data.bone_frame.assign(frames.astype(np.float32))
-        self._recordings.run(("move", part), lambda: self._launch_move(part))
+        self._recordings.run(("move", part, fresh), lambda: self._launch_move(part, fresh))
         self._mesh.refit()
 
-    def _launch_move(self, part: float) -> None:
+    def _launch_move(self, part: float, fresh: bool) -> None:
         flesh = self.flesh
         flesh.carry()
-        flesh.linearize()
+        flesh.stretch()
+        if fresh:
+            flesh.stiffen()
         flesh.relax(self.forces.load, part)
         self._travel[self.row : self.row + 1].zero_()
         mesh = self._mesh
@@ -232,7 +233,6 @@ class SoftHand:
         """Take up the forces of a substep of ``time_step`` [s]."""
         if self._whole:
             return
-        self.forces.axis.assign(self._probe_axis())
         reported = 1.0 if self._arrived else 0.0
         self._recordings.run(
             ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
@@ -241,44 +241,47 @@ class SoftHand:
     def _gather(self, slots: ContactSlots, time_step: float, reported: float) -> None:
         particles, forces = self.particles, self.forces
         forces.load.zero_()
-        forces.press.zero_()
-        forces.drag.zero_()
         forces.touched.zero_()
         forces.deepest.zero_()
         inputs = [time_step, reported, particles.resting, slots, self.skin, forces]
         wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
 
-    def learn_compliance(self, slots: ContactSlots, time_step: float) -> None:
-        """Find how much the flesh gives to what presses it now."""
+    def learn_compliance(self, slots: ContactSlots) -> None:
+        """Find how much the flesh gives to what presses it now: across the skin, and along it."""
         if self._whole or not self.forces.touched.numpy()[0]:
             return
-        self._recordings.run(("learn", time_step), lambda: self._respond(slots, time_step))
-        response, probed = self.forces.response.numpy(), self.forces.probed.numpy()
+        self._probe = (self._probe + 1) % 4
+        along = self._probe % 2
+        self.forces.axis.assign(self._probe_axis())
+        self._recordings.run("learn", lambda: self._respond(slots))
+        work, square = self.forces.response.numpy().T
         low, high = COMPLIANCE_RANGE
-        known = probed > 1e-9
-        given = np.divide(response, probed, out=np.full(probed.shape, self._lone), where=known)
+        known = square > 1e-9
+        given = np.divide(work, square, out=np.full(len(work), self._lone), where=known)
         given = np.clip(given, low * self._lone, high * self._lone)
-        before = self._by_bone.numpy().astype(float)
-        self._tell_compliance(
-            np.where(known, before + (1.0 - COMPLIANCE_MEMORY) * (given - before), self._lone)
-        )
+        told = self._by_bone.numpy().astype(float)
+        changed = told[:, along] + (1.0 - COMPLIANCE_MEMORY) * (given - told[:, along])
+        told[:, along] = np.where(known, changed, self._lone)
+        self._tell_compliance(told)
 
-    def _respond(self, slots: ContactSlots, time_step: float) -> None:
-        particles, forces = self.particles, self.forces
+    def _respond(self, slots: ContactSlots) -> None:
+        forces, count = self.forces, self.particles.count
+        forces.probe.zero_()
         forces.response.zero_()
-        forces.probed.zero_()
-        for along, probe in ((False, forces.press), (True, forces.drag)):
-            response = self.flesh.respond(probe)
-            inputs = [time_step, particles.resting, slots, self.skin, along, response, forces]
-            wp.launch(measure_response, dim=particles.count, inputs=inputs, device=self.device)
+        wp.launch(probe_skin, dim=count, inputs=[slots, self.skin, forces], device=self.device)
+        response = self.flesh.respond(forces.probe)
+        inputs = [slots, self.skin, response, forces]
+        wp.launch(measure_response, dim=count, inputs=inputs, device=self.device)
 
     def _probe_axis(self) -> NDArray[np.float32]:
-        """A direction across the force on the hand, another every step, shape [1, 3]."""
+        """How to probe this time, shape [1, 3]: across the skin, or in one of two directions."""
+        if self._probe % 2 == 0:
+            return np.zeros((1, 3), np.float32)
         force = self.forces.impulse.numpy().sum(0)
         if not force.any():
             force = np.array((0.0, 0.0, 1.0))
         first = np.cross(force, np.eye(3)[np.abs(force).argmin()])
-        axis = first if self._turn else np.cross(force, first)
+        axis = first if self._probe == 1 else np.cross(force, first)
         return (axis / np.linalg.norm(axis)).astype(np.float32)[None]
 
     def _tell_compliance(self, by_bone: NDArray[np.float64]) -> None:
@@ -327,6 +330,7 @@ class SoftHand:
         for name in ("impulse", "load", "touched", "deepest"):
             state[name] = getattr(self.forces, name).numpy().copy()
         state["compliance"] = self._by_bone.numpy().copy()
+        state["probe"] = np.array(self._probe)
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -349,6 +353,7 @@ class SoftHand:
         for name in ("impulse", "load", "touched", "deepest"):
             getattr(self.forces, name).assign(own[name])
         self._tell_compliance(own["compliance"].astype(float))
+        self._probe = int(own["probe"])
 
 
 def _boxes_of_bones(hand: Hand) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

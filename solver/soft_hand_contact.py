@@ -18,6 +18,12 @@ from numpy.typing import NDArray
 
 from .contact_law import ContactSlots, tangential
 from .hand_rig import HandRig
+from .vector_units import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+GHOST_REACH = 0.6
+"""How far around a contact ghosts feel it, in spacings: the face of a particle reaches so far."""
 
 
 @wp.struct
@@ -56,19 +62,15 @@ class HandForces:
     load: wp.array[wp.vec3]
     """On each node in the last substep [N]."""
     axis: wp.array[wp.vec3]
-    """A direction to probe along."""
-    press: wp.array[wp.vec3]
-    """What contacts would load nodes with if each pushed by 1 N across the skin [N]."""
-    drag: wp.array[wp.vec3]
-    """The same along the skin, as far as the axis lies in it."""
+    """Direction to probe along the skin; zero to probe across it."""
+    probe: wp.array[wp.vec3]
+    """What contacts would load nodes with if each pushed by 1 N [N]."""
     touched: wp.array[int]
     """Number of contacts in the last substep that push."""
     deepest: wp.array[float]
     """How far any ball lay inside in the last substep [m]."""
     response: wp.array[wp.vec2d]
-    """Work of both on what they move the skin by, by bone [N m]."""
-    probed: wp.array[wp.vec2d]
-    """Sum of their squares, by bone [N²]."""
+    """Work of the probe on what it moves the skin by [N m], and its square [N²], by bone."""
 
 
 @wp.kernel(enable_backward=False)
@@ -107,11 +109,25 @@ def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
 
 @wp.func
 def ghost_share(skin: Skin, x: wp.vec3, ghost: int) -> float:
-    """How much of a contact a ghost feels; never nothing, so that there is always one."""
-    away = wp.length(skin.ghost_rest[ghost] - x)
-    return wp.max(1.0 - away / skin.ghost_reach, 0.0) + 1.0e-6 * skin.ghost_reach / (
-        away + 0.1 * skin.ghost_reach
-    )
+    """How much of a contact a ghost feels, before shares are made to add up to one."""
+    return wp.max(1.0 - wp.length(skin.ghost_rest[ghost] - x) / skin.ghost_reach, 0.0)
+
+
+@wp.func
+def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
+    """Sum of the shares of the ghosts around a face: 0 where none is within reach."""
+    whole = float(0.0)
+    for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
+        whole += ghost_share(skin, x, skin.ghost[at])
+    return whole
+
+
+@wp.func
+def part_felt(skin: Skin, face: int, at: int, x: wp.vec3, whole: float) -> float:
+    """The part of a contact that a ghost feels; where none is within reach, the first does."""
+    if whole > 0.0:
+        return ghost_share(skin, x, skin.ghost[at]) / whole
+    return wp.where(at == skin.ghost_begin[face], 1.0, 0.0)
 
 
 @wp.func
@@ -143,63 +159,73 @@ def gather_forces(
                 wp.atomic_add(forces.touched, 0, 1)
                 face = slots.face[i, k]
                 x = place_on_skin(skin, face, slots.place[i, k])
-                whole = float(0.0)
+                whole = whole_share(skin, face, x)
                 for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                    whole += ghost_share(skin, x, skin.ghost[at])
-                for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                    ghost = skin.ghost[at]
-                    part = force * (ghost_share(skin, x, ghost) / whole)
-                    wp.atomic_add(forces.impulse, ghost, wp.vec3d(part * (time_step * reported)))
-                    corner = skin.ghost_tetrahedron[ghost]
-                    weight = skin.ghost_weight[ghost]
+                    felt = part_felt(skin, face, at, x, whole)
+                    if felt > 0.0:
+                        ghost = skin.ghost[at]
+                        part = force * felt
+                        push = wp.vec3d(part * (time_step * reported))
+                        wp.atomic_add(forces.impulse, ghost, push)
+                        corner = skin.ghost_tetrahedron[ghost]
+                        weight = skin.ghost_weight[ghost]
+                        for c in range(4):
+                            wp.atomic_add(forces.load, corner[c], part * weight[c])
+
+
+@wp.func
+def probing(forces: HandForces, normal: wp.vec3) -> wp.vec3:
+    """How a contact is probed: across the skin, or along it as far as the axis lies in it."""
+    axis = forces.axis[0]
+    if wp.length_sq(axis) > 0.0:
+        return tangential(axis, normal)
+    return -normal
+
+
+@wp.kernel(enable_backward=False)
+def probe_skin(slots: ContactSlots, skin: Skin, forces: HandForces) -> None:
+    """Load nodes as if each contact that pushes did so by one newton."""
+    i = wp.tid()
+    for k in range(slots.count[i]):
+        touches = slots.collider[i, k] == skin.collider
+        if touches and wp.length_sq(slots.impulse[i, k]) > 0.0:
+            face = slots.face[i, k]
+            x = place_on_skin(skin, face, slots.place[i, k])
+            whole = whole_share(skin, face, x)
+            force = probing(forces, slots.normal[i, k])
+            for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
+                felt = part_felt(skin, face, at, x, whole)
+                if felt > 0.0:
+                    corner = skin.ghost_tetrahedron[skin.ghost[at]]
+                    weight = skin.ghost_weight[skin.ghost[at]]
                     for c in range(4):
-                        wp.atomic_add(forces.load, corner[c], part * weight[c])
-                        share = ghost_share(skin, x, ghost) / whole * weight[c]
-                        wp.atomic_add(forces.press, corner[c], slots.normal[i, k] * -share)
-                        drag = tangential(forces.axis[0], slots.normal[i, k])
-                        wp.atomic_add(forces.drag, corner[c], drag * share)
+                        wp.atomic_add(forces.probe, corner[c], force * (felt * weight[c]))
 
 
 @wp.kernel(enable_backward=False)
 def measure_response(
-    time_step: float,
-    resting: wp.array[int],
-    slots: ContactSlots,
-    skin: Skin,
-    along: bool,
-    response: wp.array[wp.vec3],
-    forces: HandForces,
+    slots: ContactSlots, skin: Skin, response: wp.array[wp.vec3], forces: HandForces
 ) -> None:
     """Sum up what contacts give way, given what the probe moves the nodes by."""
     i = wp.tid()
     for k in range(slots.count[i]):
-        if slots.collider[i, k] == skin.collider:
-            force = force_of(slots, resting, time_step, i, k)
-            if wp.length_sq(force) > 0.0:
-                face = slots.face[i, k]
-                x = place_on_skin(skin, face, slots.place[i, k])
-                whole = float(0.0)
-                moved = wp.vec3()
-                for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                    ghost = skin.ghost[at]
-                    share = ghost_share(skin, x, ghost)
-                    corner = skin.ghost_tetrahedron[ghost]
-                    weight = skin.ghost_weight[ghost]
-                    whole += share
+        touches = slots.collider[i, k] == skin.collider
+        if touches and wp.length_sq(slots.impulse[i, k]) > 0.0:
+            face = slots.face[i, k]
+            x = place_on_skin(skin, face, slots.place[i, k])
+            whole = whole_share(skin, face, x)
+            force = probing(forces, slots.normal[i, k])
+            moved = wp.vec3()
+            for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
+                felt = part_felt(skin, face, at, x, whole)
+                if felt > 0.0:
+                    corner = skin.ghost_tetrahedron[skin.ghost[at]]
+                    weight = skin.ghost_weight[skin.ghost[at]]
                     for c in range(4):
-                        moved += response[corner[c]] * (weight[c] * share)
-                probe = -slots.normal[i, k]
-                if along:
-                    probe = tangential(forces.axis[0], slots.normal[i, k])
-                work = wp.float64(wp.dot(probe, moved) / whole)
-                square = wp.float64(wp.length_sq(probe))
-                own = wp.vec2d(work, wp.float64(0.0))
-                size = wp.vec2d(square, wp.float64(0.0))
-                if along:
-                    own = wp.vec2d(wp.float64(0.0), work)
-                    size = wp.vec2d(wp.float64(0.0), square)
-                wp.atomic_add(forces.response, skin.group[face], own)
-                wp.atomic_add(forces.probed, skin.group[face], size)
+                        moved += response[corner[c]] * (felt * weight[c])
+            work = wp.float64(wp.dot(force, moved))
+            square = wp.float64(wp.length_sq(force))
+            wp.atomic_add(forces.response, skin.group[face], wp.vec2d(work, square))
 
 
 @wp.kernel(enable_backward=False)
@@ -214,7 +240,7 @@ def spread_compliance(
 def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> Skin:
     """The skin of a rig, for clay of a particle spacing [m]."""
     surface = np.flatnonzero(rig.ghost_areas > 0.0)
-    reach = max(0.75 * spacing, 1.01 * rig.ghost_spacing)
+    reach = max(GHOST_REACH * spacing, 1.01 * rig.ghost_spacing)
     begin, ghosts = _ghosts_by_face(rig, surface, reach)
     skin = Skin()
     skin.collider = collider
@@ -256,16 +282,36 @@ def _ghosts_by_face(
     """
     place, normals = rig.carried_ghosts(rig.nodes)[surface], rig.ghost_normals[surface]
     corners = rig.vertices[rig.faces]
-    middle = corners.mean(1)
-    around = np.linalg.norm(corners - middle[:, None], axis=2).max(1)
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    low, high = corners.min(1) - reach, corners.max(1) + reach
     found = []
     for face in range(len(rig.faces)):
-        away = np.linalg.norm(place - middle[face], axis=1)
-        same_side = normals @ outward[face] > 0.0
-        near = np.flatnonzero((away < reach + around[face]) & same_side)
+        inside = ((place > low[face]) & (place < high[face])).all(1)
+        near = np.flatnonzero(inside)
+        near = near[normals[near] @ outward[face] > 0.0]
+        away = _distance_to_triangle(place[near], corners[face])
+        near = near[away < reach]
         if not len(near):
-            near = np.array([away.argmin()])
+            near = np.array([_distance_to_triangle(place, corners[face]).argmin()])
         found.append(near)
     begin = np.concatenate([[0], np.cumsum([len(near) for near in found])])
     return begin.astype(np.int32), np.concatenate(found).astype(np.int32)
+
+
+def _distance_to_triangle(
+    points: NDArray[np.float64], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance of points from a triangle [m], shape [P]; 0 inside of it, and above it the height."""
+    first, second = corners[1] - corners[0], corners[2] - corners[0]
+    normal = np.cross(first, second)
+    size = float(np.linalg.norm(normal))
+    nearest = np.full(len(points), np.inf)
+    inside = np.full(len(points), size > 0.0)
+    for k in range(3):
+        start, axis = corners[k], corners[(k + 1) % 3] - corners[k]
+        offset = points - start
+        along = np.clip(offset @ axis / max(float(axis @ axis), 1e-30), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(offset - along[:, None] * axis, axis=1))
+        inside &= np.cross(axis, offset) @ normal >= 0.0
+    height = np.abs((points - corners[0]) @ normal) / max(size, 1e-30)
+    return np.where(inside, height, nearest)

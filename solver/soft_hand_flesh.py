@@ -17,9 +17,14 @@ from numpy.typing import NDArray
 
 from .hand_rig import HandRig
 from .soft_hand_rest import BEDDING_LENGTH, FleshRest
+from .vector_units import OPTIONS
 
-ROTATION_STEPS = 4
-"""Steps towards a tetrahedron's rotation, from that of the bones around it."""
+wp.set_module_options(OPTIONS)
+
+ROTATION_STEPS = 8
+"""Steps towards a tetrahedron's rotation, from that of the bones around it, at most."""
+ROTATION_TOLERANCE = 1.0e-3
+"""It is found when a step turns it by less than twice this [rad]; the next would by its square."""
 
 STIFFENING_STRAIN = 0.3
 """At this strain flesh is twice as stiff as at none: fibres that lay wavy pull straight. By a few
@@ -129,7 +134,9 @@ def carry_nodes(flesh: FleshData) -> None:
 def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.quat:
     """Rotation of a deformation, from a guess nearby."""
     q = start
-    for _step in range(ROTATION_STEPS):
+    step = int(0)
+    while step < ROTATION_STEPS:
+        step += 1
         r = wp.quat_to_matrix(q)
         torque = wp.vec3()
         size = float(0.0)
@@ -138,10 +145,10 @@ def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.quat:
             there = wp.vec3(deformation[0, k], deformation[1, k], deformation[2, k])
             torque += wp.cross(own, there)
             size += wp.dot(own, there)
-        turn = torque / (wp.abs(size) + 1.0e-9)
-        angle = wp.length(turn)
-        if angle > 1.0e-7:
-            q = wp.normalize(wp.quat_from_axis_angle(turn / angle, angle) * q)
+        half = torque * (0.5 / (wp.abs(size) + 1.0e-9))
+        q = wp.normalize(wp.quat(half[0], half[1], half[2], 1.0) * q)
+        if wp.length_sq(half) < ROTATION_TOLERANCE * ROTATION_TOLERANCE:
+            step = ROTATION_STEPS
     return q
 
 
@@ -365,10 +372,13 @@ class Flesh:
         """Let nodes follow the bones, which stand where ``turn`` says."""
         self._launch(carry_nodes, self.data)
 
-    def linearize(self) -> None:
-        """Find stress and tangent where nodes are."""
+    def stretch(self) -> None:
+        """Find the stress where nodes are."""
         tetrahedra = len(self.data.volume)
         wp.launch(measure_stress, dim=tetrahedra, inputs=[self.data], device=self.device)
+
+    def stiffen(self) -> None:
+        """Find the tangent to that stress."""
         self._launch(assemble_tangent, self.data)
 
     def relax(self, load: wp.array, part: float) -> None:
