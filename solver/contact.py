@@ -93,7 +93,7 @@ class Contacts:
                 for column, collider in enumerate(self.colliders):
                     table[row, column] = math.sqrt(material.friction * collider.friction)
         self._full_friction = table
-        self._hold = np.ones(len(self.colliders))
+        self._grasp = np.ones(len(self.colliders))
         self.friction = wp.array(table, dtype=float, device=device)
         """Of each material on each collider: the geometric mean of the two."""
         around = Surroundings()
@@ -159,13 +159,13 @@ class Contacts:
     def _take_hold(self) -> None:
         """Let hands that have just come take hold of the clay by and by."""
         assert self.meshes is not None
-        hold = np.ones(len(self.colliders))
+        grasp = np.ones(len(self.colliders))
         for hand in self.meshes.hands:
-            hold[hand.collider] = hand.hold
-        if not np.array_equal(hold, self._hold):
-            self._hold = hold
-            self.friction.assign((self._full_friction * hold).astype(np.float32))
-            speeds = DEPENETRATION_SPEED * hold
+            grasp[hand.collider] = hand.grasp
+        if not np.array_equal(grasp, self._grasp):
+            self._grasp = grasp
+            self.friction.assign((self._full_friction * grasp).astype(np.float32))
+            speeds = DEPENETRATION_SPEED * grasp
             self.slots.recovery_speed.assign(speeds.astype(np.float32))
 
     def find(self, common: ContactPass) -> None:

@@ -22,6 +22,7 @@ from .soft_hand_contact import (
     spread_compliance,
 )
 from .soft_hand_flesh import Flesh, part_of_way
+from .soft_hand_hold import Hold
 from .soft_hand_rest import rest_of
 
 ITERATIONS = 6
@@ -73,6 +74,7 @@ class SoftHand:
         self._travel = travel
         self.path = BonePath(rig.bone_rest)
         self.path.start = hand.bones.copy()
+        self.hold = None if hand.hold_stiffness is None else Hold(rig, hand.hold_stiffness)
         self.flesh = Flesh(
             rig,
             rest_of(rig),
@@ -138,6 +140,8 @@ class SoftHand:
 
     def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Corners of the boxes around what each bone carries [m]: all flesh lies between them."""
+        if self.hold:
+            poses, _ = self.hold.applied(poses, np.tile((0.0, 0.0, 0.0, 1.0), (len(poses), 1)))
         turns = self.path.turns(poses)[self._boxes[0]]
         return (
             np.einsum("bij,bkj->bki", turns[:, :3, :3], self._boxes[1]) + turns[:, None, :3, 3]
@@ -158,6 +162,8 @@ class SoftHand:
         if jumps or returns:
             self.path.start = self.hand.bones.copy()
             self.forces.load.zero_()
+            if self.hold:
+                self.hold.reset()
             self._place()
             self._arrival = 0.0
             self._arrived = False
@@ -169,14 +175,14 @@ class SoftHand:
             self._arrived = self._arrival >= (ARRIVAL_TIME if clear else LONGEST_ARRIVAL)
 
     @property
-    def hold(self) -> float:
+    def grasp(self) -> float:
         """How firmly the hand takes hold of the clay: 1 but for a moment after it came."""
         return min(self._arrival / ARRIVAL_TIME, 1.0) if self.present else 0.0
 
     @property
     def recovery_speed(self) -> float:
         """How fast clay inside it is moved out [m/s]."""
-        return DEPENETRATION_SPEED * self.hold
+        return DEPENETRATION_SPEED * self.grasp
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
         """Move on to the end of a substep.
@@ -204,6 +210,8 @@ class SoftHand:
 
     def _move(self, fraction: float, part: float, *, fresh: bool = True) -> None:
         poses, frames = self.path.poses(fraction)
+        if self.hold:
+            poses, frames = self.hold.applied(poses, frames)
         data = self.flesh.data
         data.turn.assign(self.path.turns(poses).astype(np.float32))
         data.bone_frame.assign(frames.astype(np.float32))
@@ -237,6 +245,12 @@ class SoftHand:
         self._recordings.run(
             ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
         )
+        if self.hold:
+            self.hold.follow(self._nodes(), self.forces.load.numpy().astype(float), time_step)
+
+    def _nodes(self) -> NDArray[np.float64]:
+        """Nodes of the flesh [m], shape [N, 3]."""
+        return self.flesh.data.position.numpy().astype(float)
 
     def _gather(self, slots: ContactSlots, time_step: float, reported: float) -> None:
         particles, forces = self.particles, self.forces
@@ -253,7 +267,15 @@ class SoftHand:
         self._probe = (self._probe + 1) % 4
         along = self._probe % 2
         self.forces.axis.assign(self._probe_axis())
-        self._recordings.run("learn", lambda: self._respond(slots))
+        self._recordings.run("probe", lambda: self._probe_flesh(slots))
+        response = self.flesh.solve_data.change
+        if self.hold:
+            probe = self.forces.probe.numpy().astype(float)
+            moved = response.numpy() + self.hold.response(self._nodes(), probe)
+            response.assign(moved.astype(np.float32))
+        inputs = [slots, self.skin, response, self.forces]
+        count = self.particles.count
+        wp.launch(measure_response, dim=count, inputs=inputs, device=self.device)
         work, square = self.forces.response.numpy().T
         low, high = COMPLIANCE_RANGE
         known = square > 1e-9
@@ -264,14 +286,12 @@ class SoftHand:
         told[:, along] = np.where(known, changed, self._lone)
         self._tell_compliance(told)
 
-    def _respond(self, slots: ContactSlots) -> None:
+    def _probe_flesh(self, slots: ContactSlots) -> None:
         forces, count = self.forces, self.particles.count
         forces.probe.zero_()
         forces.response.zero_()
         wp.launch(probe_skin, dim=count, inputs=[slots, self.skin, forces], device=self.device)
-        response = self.flesh.respond(forces.probe)
-        inputs = [slots, self.skin, response, forces]
-        wp.launch(measure_response, dim=count, inputs=inputs, device=self.device)
+        self.flesh.respond(forces.probe)
 
     def _probe_axis(self) -> NDArray[np.float32]:
         """How to probe this time, shape [1, 3]: across the skin, or in one of two directions."""
@@ -300,7 +320,7 @@ class SoftHand:
     def contacts(self, duration: float) -> HandContacts:
         """What ghosts feel, mean over a step of ``duration`` [s]."""
         rig, surface = self.hand.rig, self._surface
-        nodes = self.flesh.data.position.numpy().astype(float)
+        nodes = self._nodes()
         corners = nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
         rest = rig.nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
         deformed = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
@@ -331,6 +351,8 @@ class SoftHand:
             state[name] = getattr(self.forces, name).numpy().copy()
         state["compliance"] = self._by_bone.numpy().copy()
         state["probe"] = np.array(self._probe)
+        if self.hold:
+            state["hold_turn"], state["hold_shift"] = self.hold.turn.copy(), self.hold.shift.copy()
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -347,6 +369,9 @@ class SoftHand:
         self.path.aim(self.path.start)
         self.present = bool(own["present"])
         self._arrival, self._arrived = float(own["arrival"][0]), bool(own["arrival"][1])
+        if self.hold:
+            self.hold.turn = own["hold_turn"].copy()
+            self.hold.shift = own["hold_shift"].copy()
         self._mesh.points.assign(own["skin"])
         self._mesh.velocities.zero_()
         self._mesh.refit()

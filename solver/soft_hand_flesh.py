@@ -392,11 +392,10 @@ class Flesh:
         self._solve()
         self._launch(move_nodes, part, self.data, self.solve_data)
 
-    def respond(self, load: wp.array) -> wp.array:
-        """What a load alone moves the nodes by [m], shape [N]; the nodes stay."""
+    def respond(self, load: wp.array) -> None:
+        """Find the ``change`` that a load [N] alone would make; the nodes stay."""
         self._launch(take_load, load, self.solve_data)
         self._solve()
-        return self.solve_data.change
 
     def _solve(self) -> None:
         """Solve for the change that balances the residual."""

@@ -25,7 +25,7 @@ BONE_SHARE = 0.5
 BEDDING_LENGTH = 1.0e-3
 """Depth to which flesh at a bone gives [m]: the bedding's stiffness is the modulus over its
 square."""
-LEAST_SHARE = 1e-3
+LEAST_SHARE = 0.1
 """A tetrahedron outside the skin still counts this much, so that its nodes are carried along."""
 LEAF_REACH = 1.6
 """A bone without children reaches this far from its head, over the distance of the middle of what
