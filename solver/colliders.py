@@ -136,8 +136,8 @@ class MeshColliders:
         first_face = [-1] * len(scene.meshes) + begin[:-1].tolist()
         self.first_face = wp.array(first_face, dtype=int, device=device)
         """Where the faces of each mesh begin in ``compliance``; -1 for a rigid one."""
-        self.compliance = wp.zeros(int(begin[-1]), dtype=wp.vec2, device=device)
-        """How much each face of the hands gives to a contact across and along itself [m/N]."""
+        self.compliance = wp.zeros(int(begin[-1]), dtype=wp.vec4, device=device)
+        """How much flesh and joints give to a contact at each face of the hands [m/N]."""
         self.hands = [
             SoftHand(
                 hand,

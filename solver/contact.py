@@ -75,8 +75,10 @@ class Contacts:
         for name, dtype in (
             ("compliance", wp.vec2),
             ("lean", wp.vec3),
-            ("carried", wp.vec3),
-            ("carried_before", wp.vec3),
+            ("borne", wp.vec3),
+            ("borne_before", wp.vec3),
+            ("held", wp.vec3),
+            ("held_before", wp.vec3),
             ("face", int),
             ("place", wp.vec2),
         ):
@@ -256,7 +258,8 @@ class Contacts:
             "contact_resting_force": self.resting_force.numpy().copy(),
             "contact_slide": self.slots.slide.numpy().copy(),
             "contact_push": self.slots.push.numpy().copy(),
-            "contact_carried": self.slots.carried.numpy().copy(),
+            "contact_borne": self.slots.borne.numpy().copy(),
+            "contact_held": self.slots.held.numpy().copy(),
             **(self.meshes.snapshot() if self.meshes else {}),
         }
 
@@ -271,7 +274,8 @@ class Contacts:
         self.resting_force.assign(state["contact_resting_force"])
         self.slots.slide.assign(state["contact_slide"])
         self.slots.push.assign(state["contact_push"])
-        self.slots.carried.assign(state["contact_carried"])
+        self.slots.borne.assign(state["contact_borne"])
+        self.slots.held.assign(state["contact_held"])
         if self.meshes:
             self.meshes.restore(state)
 

@@ -34,8 +34,8 @@ class ContactPass:
     """Radius of a particle [m]."""
     margin: float
     """How far off contacts are found [m]."""
-    yielding: float
-    """How far soft surfaces give way in this substep, of what the forces ask for."""
+    yielding: wp.vec2
+    """How far flesh and the joints that hold it give way in this substep, of what forces ask for."""
 
 
 @wp.struct
@@ -74,11 +74,14 @@ class ContactSlots:
     compliance: wp.array2d[wp.vec2]
     """How much a soft surface gives to the contact across and along itself [m/N], 0 where it is
     rigid. This and what follows has no rows where no collider is soft."""
-    carried: wp.array2d[wp.vec3]
-    """Part of the force on the particle that the surface has given way to by now [N]."""
-    carried_before: wp.array2d[wp.vec3]
+    borne: wp.array2d[wp.vec3]
+    """Part of the force on the particle that flesh has given way to by now [N]."""
+    borne_before: wp.array2d[wp.vec3]
+    held: wp.array2d[wp.vec3]
+    """Part of it that joints have given way to [N]."""
+    held_before: wp.array2d[wp.vec3]
     lean: wp.array2d[wp.vec3]
-    """What the surface has given way to it [m]."""
+    """What both have given way [m]."""
     face: wp.array2d[int]
     """Where the contact is on a soft surface, and at what barycentric coordinates."""
     place: wp.array2d[wp.vec2]
@@ -93,7 +96,7 @@ def add_contact(
     gap: float,
     surface_motion: wp.vec3,
     turn: wp.quat,
-    compliance: wp.vec2,
+    compliance: wp.vec4,
     face: int,
     place: wp.vec2,
 ) -> None:
@@ -108,11 +111,13 @@ def add_contact(
         anchor = wp.vec3()
         slide = float(UNKNOWN_SLIDE)
         push = float(0.0)
-        carried = wp.vec3()
+        borne = wp.vec3()
+        held = wp.vec3()
         for k in range(slots.count_before[i]):
             if slots.collider_before[i, k] == collider:
                 if compliance[0] > 0.0:
-                    carried = slots.carried_before[i, k]
+                    borne = slots.borne_before[i, k]
+                    held = slots.held_before[i, k]
                 anchor = wp.quat_rotate(turn, slots.anchor_before[i, k])
                 slide = slots.slide_before[i, k]
                 push = slots.push_before[i, k]
@@ -121,10 +126,14 @@ def add_contact(
         slots.push[i, used] = push
         slots.normal_stiffness[i, used] = 0.0
         if i < slots.compliance.shape[0]:
-            pressing = normal * wp.dot(carried, normal)
-            slots.compliance[i, used] = compliance
-            slots.carried[i, used] = carried
-            slots.lean[i, used] = pressing * compliance[0] + (carried - pressing) * compliance[1]
+            slots.borne[i, used] = borne
+            slots.held[i, used] = held
+            across = borne * compliance[0] + held * compliance[2]
+            along = borne * compliance[1] + held * compliance[3]
+            slots.lean[i, used] = along + normal * wp.dot(across - along, normal)
+            slots.compliance[i, used] = wp.vec2(
+                compliance[0] + compliance[2], compliance[1] + compliance[3]
+            )
             slots.face[i, used] = face
             slots.place[i, used] = place
         slots.count[i] = used + 1
@@ -150,8 +159,9 @@ class Surroundings:
     up, the mesh is not asked."""
     first_face: wp.array[int]
     """Where the faces of each mesh begin in ``compliance``; -1 where it is rigid."""
-    compliance: wp.array[wp.vec2]
-    """How much each face of soft meshes gives to a contact across and along itself [m/N]."""
+    compliance: wp.array[wp.vec4]
+    """How much flesh gives to a contact at each face of soft meshes, across and along it, and how
+    much joints do [m/N]."""
 
 
 @wp.func
@@ -196,9 +206,11 @@ def find_contacts(
         slots.slide_before[i, k] = slots.slide[i, k]
         slots.push_before[i, k] = slots.push[i, k]
         if i < slots.compliance.shape[0]:
-            carried = slots.carried[i, k]
             force = slots.impulse[i, k] / common.time_step_before
-            slots.carried_before[i, k] = carried + (force - carried) * common.yielding
+            borne = slots.borne[i, k]
+            held = slots.held[i, k]
+            slots.borne_before[i, k] = borne + (force - borne) * common.yielding[0]
+            slots.held_before[i, k] = held + (force - held) * common.yielding[1]
     slots.count_before[i] = slots.count[i]
     slots.count[i] = 0
     x = position[i]
@@ -247,7 +259,7 @@ def find_contacts(
             turn = wp.transform_get_rotation(after) * wp.quat_inverse(
                 wp.transform_get_rotation(before)
             )
-            compliance = wp.vec2()
+            compliance = wp.vec4()
             if around.first_face[which] >= 0:
                 compliance = around.compliance[around.first_face[which] + query.face]
             place = wp.vec2(query.u, query.v)
@@ -269,7 +281,7 @@ def find_contacts(
         closing = wp.max(-wp.dot(motion, normal), 0.0)
         if gap - closing < common.margin:
             add_contact(
-                slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity(), wp.vec2(), 0, wp.vec2()
+                slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity(), wp.vec4(), 0, wp.vec2()
             )
 
 

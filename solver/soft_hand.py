@@ -21,7 +21,7 @@ from .soft_hand_contact import (
     probe_skin,
     spread_compliance,
 )
-from .soft_hand_flesh import Flesh, part_of_way
+from .soft_hand_flesh import Flesh, yielded_part
 from .soft_hand_hold import Hold
 from .soft_hand_rest import rest_of
 
@@ -36,7 +36,10 @@ ARRIVED_DEPTH = 0.1
 COMPLIANCE_MEMORY = 0.7
 """Of what particles are told about how much flesh gives, this much stays from step to step."""
 COMPLIANCE_RANGE = (0.05, 30.0)
-"""Bounds of what particles are told, over the compliance of flesh under a lone particle."""
+"""Bounds of what particles are told, over what a lone one would be."""
+TOLD_COMPLIANCE = 0.5
+"""Part of the compliance that particles are told: the rest of it damps. With all of it contact
+would be a spring; with less than an eighth what flesh does would overshoot."""
 
 
 class SoftHand:
@@ -100,8 +103,11 @@ class SoftHand:
         forces.probe = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
         forces.response = wp.zeros(bones, dtype=wp.vec2d, device=device)
         self.forces = forces
-        self._lone = 1.0 / (hand.young_modulus * particles.spacing)
-        self._by_bone = wp.zeros(bones, dtype=wp.vec2, device=device)
+        lone = 1.0 / (hand.young_modulus * particles.spacing)
+        joints = self.hold.lone if self.hold else 0.0
+        self._lone = TOLD_COMPLIANCE * np.array((lone, lone, joints, joints))
+        """What faces are told to give that nothing touches [m/N]."""
+        self._by_bone = wp.zeros(bones, dtype=wp.vec4, device=device)
         self._boxes = _boxes_of_bones(hand)
         self._recordings = Recordings(particles, by_part=False)
         self._arrival = LONGEST_ARRIVAL
@@ -109,7 +115,7 @@ class SoftHand:
         self._arrived = True
         self._probe = 0
         self.present = hand.tracked
-        self._tell_compliance(np.full((bones, 2), self._lone))
+        self._tell_compliance(np.tile(self._lone, (bones, 1)))
         self._place()
 
     def _place(self) -> None:
@@ -195,13 +201,13 @@ class SoftHand:
         if self._whole:
             # Away from clay nothing sees the way, only where it leads.
             if substep == 0:
-                self._move(1.0, part_of_way(substeps * time_step))
+                self._move(1.0, yielded_part(substeps * time_step))
             elif substep == 1:
                 self._mesh.velocities.zero_()
                 self._travel[self.row : self.row + 1].zero_()
             return
         # The tangent may lag behind: no substep goes the whole way that it tells.
-        self._move((substep + 1) / substeps, part_of_way(time_step), fresh=substep == 0)
+        self._move((substep + 1) / substeps, yielded_part(time_step), fresh=substep == 0)
 
     def end_step(self) -> None:
         """Arrive."""
@@ -269,27 +275,40 @@ class SoftHand:
         self.forces.axis.assign(self._probe_axis())
         self._recordings.run("probe", lambda: self._probe_flesh(slots))
         response = self.flesh.solve_data.change
+        told = self._by_bone.numpy().astype(float)
+        self._learn(slots, response, told[:, along], self._lone[along])
         if self.hold:
             probe = self.forces.probe.numpy().astype(float)
-            moved = response.numpy() + self.hold.response(self._nodes(), probe)
-            response.assign(moved.astype(np.float32))
+            response.assign(self.hold.response(self._nodes(), probe).astype(np.float32))
+            self._learn(slots, response, told[:, 2 + along], self._lone[2 + along])
+        self._tell_compliance(told)
+
+    def _learn(
+        self, slots: ContactSlots, response: wp.array, told: NDArray[np.float64], lone: float
+    ) -> None:
+        """Take in a response.
+
+        Args:
+            slots: The contacts.
+            response: What the probe moves the nodes by [m].
+            told: What each bone is told to give [m/N], changed in place.
+            lone: What it is told where nothing touches it [m/N].
+        """
+        self.forces.response.zero_()
         inputs = [slots, self.skin, response, self.forces]
         count = self.particles.count
         wp.launch(measure_response, dim=count, inputs=inputs, device=self.device)
         work, square = self.forces.response.numpy().T
-        low, high = COMPLIANCE_RANGE
         known = square > 1e-9
-        given = np.divide(work, square, out=np.full(len(work), self._lone), where=known)
-        given = np.clip(given, low * self._lone, high * self._lone)
-        told = self._by_bone.numpy().astype(float)
-        changed = told[:, along] + (1.0 - COMPLIANCE_MEMORY) * (given - told[:, along])
-        told[:, along] = np.where(known, changed, self._lone)
-        self._tell_compliance(told)
+        given = TOLD_COMPLIANCE * np.divide(work, square, out=np.ones_like(work), where=known)
+        low, high = COMPLIANCE_RANGE
+        given = np.clip(given, low * lone, high * lone)
+        changed = told + (1.0 - COMPLIANCE_MEMORY) * (given - told)
+        told[:] = np.where(known, changed, lone)
 
     def _probe_flesh(self, slots: ContactSlots) -> None:
         forces, count = self.forces, self.particles.count
         forces.probe.zero_()
-        forces.response.zero_()
         wp.launch(probe_skin, dim=count, inputs=[slots, self.skin, forces], device=self.device)
         self.flesh.respond(forces.probe)
 

@@ -230,7 +230,7 @@ def measure_response(
 
 @wp.kernel(enable_backward=False)
 def spread_compliance(
-    first: int, group: wp.array[int], by_group: wp.array[wp.vec2], compliance: wp.array[wp.vec2]
+    first: int, group: wp.array[int], by_group: wp.array[wp.vec4], compliance: wp.array[wp.vec4]
 ) -> None:
     """Give each face the compliance of its group."""
     i = wp.tid()

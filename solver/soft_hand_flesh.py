@@ -34,7 +34,7 @@ RELAXATION_TIME = 0.012
 """Flesh follows what loads it with this delay [s]."""
 
 
-def part_of_way(time_step: float) -> float:
+def yielded_part(time_step: float) -> float:
     """How far flesh gives way in a time [s], of what forces ask for."""
     return time_step / (time_step + RELAXATION_TIME)
 

@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 
 HOLD_TIME = 0.05
 """Joints follow the force on them with this delay [s]: limbs have mass, and muscles damp."""
+def held_part(time_step: float) -> float:
+    """How far joints give way in a time [s], of what forces ask for."""
+    return time_step / (time_step + HOLD_TIME)
+
+
 LEAST_SHARE = 0.5
 """A node counts as a bone's when the bone and what hangs on it carry this much of it."""
 
@@ -56,6 +61,8 @@ class Hold:
         """What a torque turns each joint by [rad/(N m)]."""
         self._shifting = np.where(self._roots, share, 0.0)[:, None]
         """What a force moves each root by [m/N]."""
+        self.lone = share
+        """What a newton moves a root by [m/N]."""
         self.turn = np.zeros((count, 3))
         """What each joint has yielded [rad]."""
         self.shift = np.zeros((count, 3))
@@ -102,7 +109,7 @@ class Hold:
             load: Force on each [N], shape [N, 3].
             time_step: [s]
         """
-        part = time_step / (time_step + HOLD_TIME)
+        part = held_part(time_step)
         turn, shift = self._asked(nodes, load)
         self.turn += part * (turn - self.turn)
         self.shift += part * (shift - self.shift)

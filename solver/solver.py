@@ -19,7 +19,8 @@ from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
 from .settings import BASE_STEP, Settings
 from .soft_hand import SoftHand
-from .soft_hand_flesh import part_of_way
+from .soft_hand_flesh import yielded_part
+from .soft_hand_hold import held_part
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""
@@ -222,7 +223,7 @@ class Solver:
         common.time_step_before = self._time_step_before
         common.radius = 0.5 * self.scene.spacing
         common.margin = MARGIN * self.scene.spacing
-        common.yielding = part_of_way(time_step) if self._hands else 0.0
+        common.yielding = wp.vec2(yielded_part(time_step), held_part(time_step))
         self._model.run_substep(common)
         for hand in self._hands:
             hand.gather(self._contacts.slots, time_step)
