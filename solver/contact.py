@@ -96,6 +96,7 @@ class Contacts:
                     table[row, column] = math.sqrt(material.friction * collider.friction)
         self._full_friction = table
         self._grasp = np.ones(len(self.colliders))
+        self._speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
         self.friction = wp.array(table, dtype=float, device=device)
         """Of each material on each collider: the geometric mean of the two."""
         around = Surroundings()
@@ -162,13 +163,14 @@ class Contacts:
         """Let hands that have just come take hold of the clay by and by."""
         assert self.meshes is not None
         grasp = np.ones(len(self.colliders))
+        speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
         for hand in self.meshes.hands:
             grasp[hand.collider] = hand.grasp
-        if not np.array_equal(grasp, self._grasp):
-            self._grasp = grasp
+            speed[hand.collider] = hand.recovery_speed
+        if not (np.array_equal(grasp, self._grasp) and np.array_equal(speed, self._speed)):
+            self._grasp, self._speed = grasp, speed
             self.friction.assign((self._full_friction * grasp).astype(np.float32))
-            speeds = DEPENETRATION_SPEED * grasp
-            self.slots.recovery_speed.assign(speeds.astype(np.float32))
+            self.slots.recovery_speed.assign(speed.astype(np.float32))
 
     def find(self, common: ContactPass) -> None:
         """Find the contacts of a substep; those that were there before keep their anchors."""

@@ -20,6 +20,8 @@ MARGIN = 0.25
 """Contacts are found this far off the surface, in spacings: a substep may close the gap."""
 CONTACT_STIFFNESS = 2.0
 """Stiffness of a contact over that of the clay around the particle."""
+SOFT_DEPTH = 1.0
+"""From this depth on soft surfaces push as if they were rigid, in radii of a particle."""
 UNKNOWN_SLIDE = 1.0e9
 """The slip [m] that a new contact may assume."""
 
@@ -346,11 +348,16 @@ def press_contacts(
             across = stiffness
             along = stiffness
             lean = wp.vec3()
+            beyond = float(0.0)
             if i < slots.compliance.shape[0]:
                 # The surface gives by what the force changes: the two are springs in a row, and
                 # the far end is where the surface would be without the force.
                 lean = slots.lean[i, k]
                 depth += wp.dot(lean, n)
+                # Farther in than flesh can give way in time it is like bone: nothing gets through.
+                inner = gap + SOFT_DEPTH * common.radius
+                allowed = wp.min(inner + wp.min(speed, DEPENETRATION_SPEED) * dt, 0.0)
+                beyond = allowed - inner - wp.dot(relative, n)
                 gives = slots.compliance[i, k] * (stiffness / (dt * dt))
                 across = stiffness / (1.0 + gives[0])
                 along = stiffness / (1.0 + gives[1])
@@ -360,6 +367,9 @@ def press_contacts(
             if depth > 0.0:
                 normal_stiffness = across
                 normal_push = across * depth / dt
+                if beyond > 0.0 and stiffness > across:
+                    normal_stiffness = stiffness
+                    normal_push += (stiffness - across) * beyond / dt
                 slip = tangential(relative - lean, n) + slots.anchor[i, k]
                 slip_length = wp.min(wp.length(slip), slots.slide[i, k])
                 slots.slide[i, k] = UNKNOWN_SLIDE

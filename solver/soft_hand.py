@@ -33,6 +33,8 @@ LONGEST_ARRIVAL = 1.0
 """After this long it has arrived, even if clay is still inside it [s]."""
 ARRIVED_DEPTH = 0.1
 """A hand has arrived when no particle's ball lies this deep inside it, in spacings."""
+UNLIMITED_SPEED = 1.0e6
+"""Faster than anything [m/s]."""
 COMPLIANCE_MEMORY = 0.7
 """Of what particles are told about how much flesh gives, this much stays from step to step."""
 COMPLIANCE_RANGE = (0.05, 30.0)
@@ -187,8 +189,8 @@ class SoftHand:
 
     @property
     def recovery_speed(self) -> float:
-        """How fast clay inside it is moved out [m/s]."""
-        return DEPENETRATION_SPEED * self.grasp
+        """How fast clay inside it is moved out [m/s]: of itself no slower than flesh gives way."""
+        return UNLIMITED_SPEED if self._arrived else DEPENETRATION_SPEED * self.grasp
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
         """Move on to the end of a substep.

@@ -30,7 +30,7 @@ STIFFENING_STRAIN = 0.3
 """At this strain flesh is twice as stiff as at none: fibres that lay wavy pull straight. By a few
 newtons a fingertip goes flat, and then hardly gives any more."""
 
-RELAXATION_TIME = 0.012
+RELAXATION_TIME = 0.008
 """Flesh follows what loads it with this delay [s]."""
 
 
