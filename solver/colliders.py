@@ -264,7 +264,8 @@ class MeshColliders:
         appears = hand.present and self._contactless[which]
         vanishes = not hand.present and not self._contactless[which]
         if jumps or appears or vanishes:
-            self.clearance[hand.row].fill_(OUT_OF_REACH if not hand.present else 0.0)
+            if self.clearance.size:
+                self.clearance[hand.row].fill_(0.0 if hand.present else OUT_OF_REACH)
             self._contactless[which] = not hand.present
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
