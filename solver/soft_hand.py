@@ -100,7 +100,7 @@ class SoftHand:
         forces.impulse = wp.zeros(len(self._surface), dtype=wp.vec3d, device=device)
         forces.load = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
         forces.touched = wp.zeros(1, dtype=int, device=device)
-        forces.deepest = wp.zeros(1, dtype=float, device=device)
+        forces.deepest = wp.full(1, np.inf, dtype=float, device=device)
         forces.axis = wp.zeros(1, dtype=wp.vec3, device=device)
         forces.probe = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
         forces.response = wp.zeros(bones, dtype=wp.vec2d, device=device)
@@ -112,9 +112,9 @@ class SoftHand:
         self._by_bone = wp.zeros(bones, dtype=wp.vec4, device=device)
         self._boxes = _boxes_of_bones(hand)
         self._recordings = Recordings(particles, by_part=False)
-        self._arrival = LONGEST_ARRIVAL
-        """Time since the hand came here [s]."""
-        self._arrived = True
+        self._arrival = ARRIVAL_TIME
+        """Time since the hand came here [s]; where it stands in the beginning, it holds firmly."""
+        self._arrived = False
         self._probe = 0
         self.present = hand.tracked
         self._tell_compliance(np.tile(self._lone, (bones, 1)))
@@ -166,20 +166,24 @@ class SoftHand:
         returns = self.hand.tracked and not self.present
         self.present = self.hand.tracked
         self._whole = not near
-        self.forces.impulse.zero_()
+        forces = self.forces
+        forces.impulse.zero_()
+        if self._whole:
+            forces.deepest.zero_()
         if jumps or returns:
             self.path.start = self.hand.bones.copy()
-            self.forces.load.zero_()
+            forces.load.zero_()
             if self.hold:
                 self.hold.reset()
             self._place()
             self._arrival = 0.0
             self._arrived = False
+            forces.deepest.fill_(np.inf)
         elif self.present:
             self.path.aim(self.hand.bones)
             self._arrival += duration
         if not self._arrived:
-            clear = float(self.forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
+            clear = float(forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
             self._arrived = self._arrival >= (ARRIVAL_TIME if clear else LONGEST_ARRIVAL)
 
     @property

@@ -30,6 +30,8 @@ STIFFENING_STRAIN = 0.3
 """At this strain flesh is twice as stiff as at none: fibres that lay wavy pull straight. By a few
 newtons a fingertip goes flat, and then hardly gives any more."""
 
+LONGEST_STEP = 0.01
+"""What a node moves in a solve at most, over the size of the hand."""
 RELAXATION_TIME = 0.008
 """Flesh follows what loads it with this delay [s]."""
 
@@ -47,6 +49,8 @@ class FleshData:
     """First Lamé parameter and shear modulus [Pa]."""
     young_modulus: float
     """[Pa]"""
+    longest_step: float
+    """What a node moves in a solve at most [m]."""
     tetrahedron: wp.array[wp.vec4i]
     gradient: wp.array2d[wp.vec3]
     """Of shape functions at rest [1/m]; by tetrahedron and corner."""
@@ -290,9 +294,14 @@ def turn_direction(iteration: int, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def move_nodes(part: float, flesh: FleshData, solve: FleshSolve) -> None:
-    """Move nodes by a part of what the solve found; one not finite stays with its bones."""
+    """Move nodes by a part of what the solve found; one not finite stays with its bones.
+
+    Where a load is so sudden that the tangent says nothing about it, nodes must not fly off.
+    """
     i = wp.tid()
-    moved = flesh.position[i] + solve.change[i] * part
+    change = solve.change[i] * part
+    change = change * wp.min(1.0, flesh.longest_step / wp.max(wp.length(change), 1.0e-12))
+    moved = flesh.position[i] + change
     flesh.position[i] = wp.where(wp.isfinite(moved), moved, flesh.carried[i])
 
 
@@ -332,6 +341,7 @@ class Flesh:
         data = FleshData()
         data.lame = wp.vec2(first, shear)
         data.young_modulus = young_modulus
+        data.longest_step = LONGEST_STEP * float(np.linalg.norm(np.ptp(rig.nodes, axis=0)))
 
         def put(values: NDArray, dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
