@@ -14,6 +14,8 @@ from .settings import QUALITIES, Settings
 if TYPE_CHECKING:
     from .diagnostics import Diagnostics
     from .fill import fill_mesh
+    from .hand import Hand, HandContacts
+    from .hand_rig import HandRig
     from .scene import ClayBody, MeshCollider, Plane, Scene
     from .solver import Solver
 
@@ -21,6 +23,9 @@ __all__ = [
     "QUALITIES",
     "ClayBody",
     "Diagnostics",
+    "Hand",
+    "HandContacts",
+    "HandRig",
     "Material",
     "MeshCollider",
     "MeshError",
@@ -35,6 +40,9 @@ __all__ = [
 _LOADED_ON_USE = {
     "ClayBody": "scene",
     "Diagnostics": "diagnostics",
+    "Hand": "hand",
+    "HandContacts": "hand",
+    "HandRig": "hand_rig",
     "MeshCollider": "scene",
     "Plane": "scene",
     "Scene": "scene",

@@ -12,7 +12,6 @@ from .polar import rotation_and_stretch
 from .scene import MeshCollider, Plane, Scene
 from .soft_hand import SoftHand
 
-
 OUT_OF_REACH = 1.0e6
 """Clearance of a hand that cannot be touched [m]."""
 

@@ -37,7 +37,7 @@ class ContactPass:
     margin: float
     """How far off contacts are found [m]."""
     yielding: wp.vec2
-    """How far flesh and the joints that hold it give way in this substep, of what forces ask for."""
+    """How far flesh and joints give way in this substep, of what forces ask for."""
 
 
 @wp.struct

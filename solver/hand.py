@@ -15,6 +15,8 @@ YOUNG_MODULUS = 5.0e4
 """Of flesh under slow pressure [Pa]; soft tissue of fingertips and palms has 30 to 100 kPa."""
 POISSON_RATIO = 0.45
 """Of flesh. Real flesh is nearly incompressible, which linear tetrahedra cannot be."""
+FARTHEST = 1.0e4
+"""Hands are nearer than this to the origin, in each coordinate [m]."""
 MOST_STRETCH = 4.0
 """A bone may become this much longer or shorter than at rest."""
 
@@ -108,6 +110,13 @@ class Hand:
         if not affine.all():
             name = names[int(np.argmin(affine))]
             raise ValueError(f"The last row of bone {name!r}'s pose must be 0 0 0 1. {kept}")
+        near = (np.abs(poses[:, :3, 3]) < FARTHEST).all(1)
+        if not near.all():
+            name = names[int(np.argmin(near))]
+            raise ValueError(
+                f"The pose of bone {name!r} is farther than {FARTHEST:g} m away; are its units "
+                f"metres? {kept}"
+            )
         turns = poses[:, :3, :3] @ rest_inverse[:, :3, :3]
         upright = np.linalg.det(turns) > 0.0
         if not upright.all():

@@ -292,7 +292,9 @@ class Scene:
             ValueError: A value is not finite or out of its range.
         """
         if not (np.isfinite(young_modulus) and young_modulus > 0):
-            raise ValueError(f"The flesh's Young's modulus is {young_modulus!r}; it must be above 0.")
+            raise ValueError(
+                f"The flesh's Young's modulus is {young_modulus!r}; it must be above 0."
+            )
         if not 0.0 <= poisson_ratio < 0.49:
             raise ValueError(
                 f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must lie in 0 to below 0.49."

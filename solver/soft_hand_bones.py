@@ -85,12 +85,16 @@ def _split(linear: Array) -> tuple[Array, Array]:
 def quaternions(rotation: Array) -> Array:
     """Unit quaternions (x, y, z, w) of rotation matrices, shape [B, 4]."""
     m = np.moveaxis(rotation, 0, -1)
+    x, y, z = m[0, 0], m[1, 1], m[2, 2]
+    xy, yz, zx = m[0, 1] + m[1, 0], m[1, 2] + m[2, 1], m[0, 2] + m[2, 0]
+    xw, yw, zw = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    # Each row is the quaternion times one of its components; the largest loses least.
     rows = np.array(
         [
-            [1 + m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-            [m[0, 1] + m[1, 0], 1 - m[0, 0] + m[1, 1] - m[2, 2], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
-            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 - m[0, 0] - m[1, 1] + m[2, 2], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + m[0, 0] + m[1, 1] + m[2, 2]],
+            [1.0 + x - y - z, xy, zx, xw],
+            [xy, 1.0 - x + y - z, yz, yw],
+            [zx, yz, 1.0 - x - y + z, zw],
+            [xw, yw, zw, 1.0 + x + y + z],
         ]
     )
     largest = np.einsum("iib->ib", rows).argmax(0)

@@ -301,7 +301,7 @@ def _ghosts_by_face(
 def _distance_to_triangle(
     points: NDArray[np.float64], corners: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance of points from a triangle [m], shape [P]; 0 inside of it, and above it the height."""
+    """Distance of points from a triangle [m], shape [P]."""
     first, second = corners[1] - corners[0], corners[2] - corners[0]
     normal = np.cross(first, second)
     size = float(np.linalg.norm(normal))

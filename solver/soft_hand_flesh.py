@@ -175,9 +175,7 @@ def measure_stress(flesh: FleshData) -> None:
     stretch = wp.transpose(r) * deformation
     strain = (stretch + wp.transpose(stretch)) * 0.5 - wp.identity(n=3, dtype=float)
     lame = flesh.lame
-    stress = strain * (2.0 * lame[1]) + wp.identity(n=3, dtype=float) * (
-        lame[0] * wp.trace(strain)
-    )
+    stress = strain * (2.0 * lame[1]) + wp.identity(n=3, dtype=float) * (lame[0] * wp.trace(strain))
     # Twice the energy over Young's modulus: the square of the strain, where stress is uniaxial.
     square = wp.ddot(stress, strain) / flesh.young_modulus
     grown = square / (STIFFENING_STRAIN * STIFFENING_STRAIN)
@@ -262,9 +260,7 @@ def multiply(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
     for at in range(flesh.row[i], flesh.row[i + 1]):
         product += flesh.block[at] * solve.direction[flesh.column[at]]
     solve.product[i] = product
-    wp.atomic_add(
-        solve.curvature, iteration, wp.float64(wp.dot(solve.direction[i], product))
-    )
+    wp.atomic_add(solve.curvature, iteration, wp.float64(wp.dot(solve.direction[i], product)))
 
 
 @wp.kernel(enable_backward=False)

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 HOLD_TIME = 0.05
 """Joints follow the force on them with this delay [s]: limbs have mass, and muscles damp."""
+
+
 def held_part(time_step: float) -> float:
     """How far joints give way in a time [s], of what forces ask for."""
     return time_step / (time_step + HOLD_TIME)
@@ -55,9 +57,7 @@ class Hold:
         away = np.linalg.norm(rig.nodes[:, None] - rig.bone_rest[None, :, :3, 3], axis=2)
         lever = np.where(carried > LEAST_SHARE, away, 0.0).max(0)
         share = 1.0 / (stiffness * (len(self._levels) + 1))
-        self._turning = np.divide(
-            share, lever**2, out=np.zeros(count), where=lever > 0.0
-        )[:, None]
+        self._turning = np.divide(share, lever**2, out=np.zeros(count), where=lever > 0.0)[:, None]
         """What a torque turns each joint by [rad/(N m)]."""
         self._shifting = np.where(self._roots, share, 0.0)[:, None]
         """What a force moves each root by [m/N]."""
@@ -81,9 +81,7 @@ class Hold:
         heads = poses[:, :3, 3]
         for bones in self._levels:
             parent = self.parent[bones]
-            before = np.where(
-                (parent < 0)[:, None, None], np.eye(4), change[np.maximum(parent, 0)]
-            )
+            before = np.where((parent < 0)[:, None, None], np.eye(4), change[np.maximum(parent, 0)])
             head = np.einsum("bij,bj->bi", before[:, :3, :3], heads[bones]) + before[:, :3, 3]
             own = rotation[bones]
             change[bones, :3, :3] = own @ before[:, :3, :3]

@@ -96,7 +96,7 @@ def _sample_weights() -> NDArray[np.float64]:
     steps = np.indices((SAMPLE_ORDER + 1,) * 3).reshape(3, -1).T
     steps = steps[steps.sum(1) <= SAMPLE_ORDER]
     steps = np.column_stack([SAMPLE_ORDER - steps.sum(1), steps])
-    return (steps + 0.25) / (SAMPLE_ORDER + 1.0)
+    return (steps.astype(np.float64) + 0.25) / (SAMPLE_ORDER + 1.0)
 
 
 @wp.kernel(enable_backward=False)

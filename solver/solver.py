@@ -71,7 +71,7 @@ class Solver:
         device: Warp device, such as "cpu" or "cuda:0".
 
     Raises:
-        ValueError: The device does not exist.
+        ValueError: The device does not exist, or the clay model does not know hands.
     """
 
     def __init__(self, scene: Scene, settings: Settings | None = None, device: str = "cpu") -> None:
@@ -82,6 +82,11 @@ class Solver:
         except (RuntimeError, ValueError) as error:
             known = ", ".join(str(d) for d in wp.get_devices())
             raise ValueError(f"There is no device {device!r}. There are: {known}.") from error
+        if scene.hands and self.settings.model == "paper":
+            raise ValueError(
+                'The clay model "paper" does not know hands: use "plastic_bonds", or add the '
+                "hand's skin as a mesh."
+            )
         self.time = 0.0
         self._substeps = 0
         self._duration = BASE_STEP
@@ -185,9 +190,7 @@ class Solver:
             hand.begin_substep(0, 1, duration)
             hand.gather(self._contacts.slots, duration)
 
-    def _plan_colliders(
-        self, shortest: int, substeps: int, duration: float
-    ) -> tuple[int, float]:
+    def _plan_colliders(self, shortest: int, substeps: int, duration: float) -> tuple[int, float]:
         """Substeps such that no collider near the clay moves more than half a particle's radius.
 
         Returns:
@@ -302,7 +305,8 @@ class Solver:
             passes.append(f"contact with {len(self.scene.meshes)} meshes")
         for hand in self.scene.hands:
             passes.insert(
-                0, f"soft hand of {len(hand.rig.nodes)} nodes, {len(hand.rig.tetrahedra)} tetrahedra"
+                0,
+                f"soft hand of {len(hand.rig.nodes)} nodes, {len(hand.rig.tetrahedra)} tetrahedra",
             )
         if self.scene.hands:
             passes.append(f"contact with {len(self.scene.hands)} hands, forces on their ghosts")

@@ -28,12 +28,14 @@ def lattice(
         Nodes [m], shape [N, 3], and tetrahedra of positive volume, shape [T, 4].
     """
     low = vertices.min(0) - 0.61 * edge
-    counts = np.ceil((vertices.max(0) + 0.61 * edge - low) / edge).astype(int) + 1
-    corner = np.arange(np.prod(counts + 1)).reshape(counts + 1)
-    center = np.arange(np.prod(counts)).reshape(counts) + corner.size
+    size = np.ceil((vertices.max(0) + 0.61 * edge - low) / edge).astype(int) + 1
+    counts = (int(size[0]), int(size[1]), int(size[2]))
+    corners = (counts[0] + 1, counts[1] + 1, counts[2] + 1)
+    corner = np.arange(int(np.prod(corners))).reshape(corners)
+    center = np.arange(int(np.prod(counts))).reshape(counts) + corner.size
     nodes = np.concatenate(
         [
-            np.indices(counts + 1).reshape(3, -1).T.astype(float),
+            np.indices(corners).reshape(3, -1).T.astype(float),
             np.indices(counts).reshape(3, -1).T + 0.5,
         ]
     )
@@ -184,9 +186,17 @@ def slab(
     nodes, tetrahedra = lattice(skin.vertices, skin.faces, edge)
     across = (np.arange(4) - 1.5) * size[0] / 4
     back, middle = -0.5 * size[1], -0.5 * size[2]
-    heads = np.array([[0, back, middle]] + [[x, back, middle] for x in across]
-                     + [[x, -back, middle] for x in across])
+    heads = np.array(
+        [[0, back, middle]]
+        + [[x, back, middle] for x in across]
+        + [[x, -back, middle] for x in across]
+    )
     parents = [-1, 0, 0, 0, 0, 1, 2, 3, 4]
     weights = np.zeros((len(nodes), len(heads)))
     weights[np.arange(len(nodes)), 1 + np.abs(nodes[:, :1] - across).argmin(1)] = 1.0
     return bind(skin, heads, parents, weights, nodes, tetrahedra, ghost_spacing)
+
+
+def posed(rig: HandRig, pose: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Bones of a rig that moves as a whole, from its rest pose."""
+    return {name: pose @ rest for name, rest in zip(rig.bone_names, rig.bone_rest, strict=True)}
