@@ -81,7 +81,7 @@ def test_turned_bones_carry_their_children(rig: HandRig):
     before = np.diff(rig.bone_rest[:, :3, 3], axis=0)
     after = np.diff(poses[:, :3, 3], axis=0)
     np.testing.assert_allclose(np.linalg.norm(after, axis=1), np.linalg.norm(before, axis=1))
-    np.testing.assert_allclose(poses[0, :3, 3], rig.bone_rest[0, :3, 3] + (0.01, 0.0, 0.0))
+    np.testing.assert_allclose(poses[0, :3, 3], rig.bone_rest[0, :3, 3] + np.array((0.01, 0, 0)))
     np.testing.assert_allclose(np.linalg.norm(frames, axis=1), 1.0)
     hold.reset()
     np.testing.assert_allclose(poses_of(rig, hold)[0], rig.bone_rest, atol=1e-12)
