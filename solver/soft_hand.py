@@ -27,6 +27,8 @@ from .soft_hand_rest import rest_of
 
 ITERATIONS = 6
 """Of conjugate gradients in a substep."""
+FRESH_EVERY = 4
+"""Substeps after which stress and tangent are found anew; between, forces change linearly."""
 ARRIVAL_TIME = 0.2
 """A hand that jumps or comes back takes hold of the clay over this long [s]."""
 LONGEST_ARRIVAL = 1.0
@@ -35,8 +37,11 @@ ARRIVED_DEPTH = 0.1
 """A hand has arrived when no particle's ball lies this deep inside it, in spacings."""
 UNLIMITED_SPEED = 1.0e6
 """Faster than anything [m/s]."""
-COMPLIANCE_MEMORY = 0.7
-"""Of what particles are told about how much flesh gives, this much stays from step to step."""
+SETTLING_TIME = 1.0
+"""A hand that keeps still away from clay is in shape after this long [s]."""
+COMPLIANCE_MEMORY = 0.5
+"""Of what particles are told about how much flesh gives, this much stays when it is found anew:
+across the skin and along it every fourth step."""
 COMPLIANCE_RANGE = (0.05, 30.0)
 """Bounds of what particles are told, over what a lone one would be."""
 TOLD_COMPLIANCE = 0.5
@@ -115,6 +120,8 @@ class SoftHand:
         self._arrival = ARRIVAL_TIME
         """Time since the hand came here [s]; where it stands in the beginning, it holds firmly."""
         self._arrived = False
+        self._still = 0.0
+        """How long the hand has been at rest, away from clay [s]."""
         self._probe = 0
         self.present = hand.tracked
         self._tell_compliance(np.tile(self._lone, (bones, 1)))
@@ -179,8 +186,11 @@ class SoftHand:
             self._arrival = 0.0
             self._arrived = False
             forces.deepest.fill_(np.inf)
-        elif self.present:
-            self.path.aim(self.hand.bones)
+        else:
+            target = self.hand.bones if self.present else self.path.start
+            moves = not np.array_equal(target, self.path.start)
+            self._still = 0.0 if moves or near else self._still + duration
+            self.path.aim(target)
             self._arrival += duration
         if not self._arrived:
             clear = float(forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
@@ -206,19 +216,20 @@ class SoftHand:
         """
         if self._whole:
             # Away from clay nothing sees the way, only where it leads.
-            if substep == 0:
+            if substep == 0 and self._still < SETTLING_TIME:
                 self._move(1.0, yielded_part(substeps * time_step))
-            elif substep == 1:
+            elif substep < 2:
                 self._mesh.velocities.zero_()
                 self._travel[self.row : self.row + 1].zero_()
             return
         # The tangent may lag behind: no substep goes the whole way that it tells.
-        self._move((substep + 1) / substeps, yielded_part(time_step), fresh=substep == 0)
+        self._move(
+            (substep + 1) / substeps, yielded_part(time_step), fresh=substep % FRESH_EVERY == 0
+        )
 
     def end_step(self) -> None:
         """Arrive."""
         self.path.arrive()
-        self.path.aim(self.path.end)
 
     def _move(self, fraction: float, part: float, *, fresh: bool = True) -> None:
         poses, frames = self.path.poses(fraction)
@@ -233,8 +244,8 @@ class SoftHand:
     def _launch_move(self, part: float, fresh: bool) -> None:
         flesh = self.flesh
         flesh.carry()
-        flesh.stretch()
         if fresh:
+            flesh.stretch()
             flesh.stiffen()
         flesh.relax(self.forces.load, part)
         self._travel[self.row : self.row + 1].zero_()
@@ -273,11 +284,13 @@ class SoftHand:
         wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
 
     def learn_compliance(self, slots: ContactSlots) -> None:
-        """Find how much the flesh gives to what presses it now: across the skin, and along it."""
+        """Find how much the flesh gives to what presses it now, every second step."""
         if self._whole or not self.forces.touched.numpy()[0]:
             return
-        self._probe = (self._probe + 1) % 4
-        along = self._probe % 2
+        self._probe = (self._probe + 1) % 8
+        if self._probe % 2:
+            return
+        along = self._probe // 2 % 2
         self.forces.axis.assign(self._probe_axis())
         self._recordings.run("probe", lambda: self._probe_flesh(slots))
         response = self.flesh.solve_data.change
@@ -320,13 +333,13 @@ class SoftHand:
 
     def _probe_axis(self) -> NDArray[np.float32]:
         """How to probe this time, shape [1, 3]: across the skin, or in one of two directions."""
-        if self._probe % 2 == 0:
+        if self._probe % 4 == 0:
             return np.zeros((1, 3), np.float32)
         force = self.forces.impulse.numpy().sum(0)
         if not force.any():
             force = np.array((0.0, 0.0, 1.0))
         first = np.cross(force, np.eye(3)[np.abs(force).argmin()])
-        axis = first if self._probe == 1 else np.cross(force, first)
+        axis = first if self._probe == 2 else np.cross(force, first)
         return (axis / np.linalg.norm(axis)).astype(np.float32)[None]
 
     def _tell_compliance(self, by_bone: NDArray[np.float64]) -> None:
@@ -376,6 +389,7 @@ class SoftHand:
             state[name] = getattr(self.forces, name).numpy().copy()
         state["compliance"] = self._by_bone.numpy().copy()
         state["probe"] = np.array(self._probe)
+        state["still"] = np.array(self._still)
         if self.hold:
             state["hold_turn"], state["hold_shift"] = self.hold.turn.copy(), self.hold.shift.copy()
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
@@ -403,7 +417,7 @@ class SoftHand:
         for name in ("impulse", "load", "touched", "deepest"):
             getattr(self.forces, name).assign(own[name])
         self._tell_compliance(own["compliance"].astype(float))
-        self._probe = int(own["probe"])
+        self._probe, self._still = int(own["probe"]), float(own["still"])
 
 
 def _boxes_of_bones(hand: Hand) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -73,6 +73,8 @@ class FleshData:
     """Where bones alone would carry each node [m]."""
     frame: wp.array[wp.quat]
     """How bones turn each node."""
+    inner: wp.array[wp.vec3]
+    """Force of flesh and bone on each node [N]."""
     turned_gradient: wp.array2d[wp.vec3]
     """Gradients turned by each tetrahedron's rotation [1/m]."""
     traction: wp.array2d[wp.vec3]
@@ -130,30 +132,30 @@ def carry_nodes(flesh: FleshData) -> None:
     frame = wp.normalize(blend)
     turned = frame * wp.quat_inverse(flesh.frame[i])
     flesh.position[i] = carried + wp.quat_rotate(turned, flesh.position[i] - flesh.carried[i])
+    flesh.inner[i] = wp.quat_rotate(turned, flesh.inner[i])
     flesh.carried[i] = carried
     flesh.frame[i] = frame
 
 
 @wp.func
-def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.quat:
+def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.mat33:
     """Rotation of a deformation, from a guess nearby."""
     q = start
+    r = wp.quat_to_matrix(q)
     step = int(0)
     while step < ROTATION_STEPS:
         step += 1
-        r = wp.quat_to_matrix(q)
-        torque = wp.vec3()
-        size = float(0.0)
-        for k in range(3):
-            own = wp.vec3(r[0, k], r[1, k], r[2, k])
-            there = wp.vec3(deformation[0, k], deformation[1, k], deformation[2, k])
-            torque += wp.cross(own, there)
-            size += wp.dot(own, there)
-        half = torque * (0.5 / (wp.abs(size) + 1.0e-9))
+        product = deformation * wp.transpose(r)
+        half = wp.vec3(
+            product[2, 1] - product[1, 2],
+            product[0, 2] - product[2, 0],
+            product[1, 0] - product[0, 1],
+        ) * (0.5 / (wp.abs(wp.trace(product)) + 1.0e-9))
         q = wp.normalize(wp.quat(half[0], half[1], half[2], 1.0) * q)
+        r = wp.quat_to_matrix(q)
         if wp.length_sq(half) < ROTATION_TOLERANCE * ROTATION_TOLERANCE:
             step = ROTATION_STEPS
-    return q
+    return r
 
 
 @wp.kernel(enable_backward=False)
@@ -169,7 +171,7 @@ def measure_stress(flesh: FleshData) -> None:
         deformation += wp.outer(flesh.position[corner[k]] - origin, flesh.gradient[t, k])
         q = flesh.frame[corner[k]]
         start = start + q * wp.where(wp.dot(q, first) < 0.0, -1.0, 1.0)
-    r = wp.quat_to_matrix(rotation_of(deformation, wp.normalize(start)))
+    r = rotation_of(deformation, wp.normalize(start))
     for k in range(4):
         flesh.turned_gradient[t, k] = r * flesh.gradient[t, k]
     stretch = wp.transpose(r) * deformation
@@ -189,10 +191,10 @@ def measure_stress(flesh: FleshData) -> None:
 
 
 @wp.kernel(enable_backward=False)
-def balance_forces(flesh: FleshData, load: wp.array[wp.vec3], solve: FleshSolve) -> None:
-    """Sum the forces on each node: load, flesh and bone."""
+def sum_inner_forces(flesh: FleshData) -> None:
+    """Sum the forces of flesh and bone on each node."""
     i = wp.tid()
-    force = load[i]
+    force = wp.vec3()
     for at in range(flesh.row[i], flesh.row[i + 1]):
         j = flesh.column[at]
         force += (flesh.carried[j] - flesh.position[j]) * flesh.bedding[at]
@@ -203,7 +205,14 @@ def balance_forces(flesh: FleshData, load: wp.array[wp.vec3], solve: FleshSolve)
             force -= flesh.traction[corner[0], corner[1]] * (
                 flesh.volume[corner[0]] * stiffening[0]
             )
-    solve.residual[i] = force
+    flesh.inner[i] = force
+
+
+@wp.kernel(enable_backward=False)
+def balance_forces(flesh: FleshData, load: wp.array[wp.vec3], solve: FleshSolve) -> None:
+    """Find what is out of balance."""
+    i = wp.tid()
+    solve.residual[i] = load[i] + flesh.inner[i]
 
 
 @wp.kernel(enable_backward=False)
@@ -289,12 +298,16 @@ def turn_direction(iteration: int, solve: FleshSolve) -> None:
 
 
 @wp.kernel(enable_backward=False)
-def move_nodes(part: float, flesh: FleshData, solve: FleshSolve) -> None:
+def move_nodes(part: float, load: wp.array[wp.vec3], flesh: FleshData, solve: FleshSolve) -> None:
     """Move nodes by a part of what the solve found; one not finite stays with its bones.
 
     Where a load is so sudden that the tangent says nothing about it, nodes must not fly off.
+    The inner forces change by what the solve has taken off the residual.
     """
     i = wp.tid()
+    inner = flesh.inner[i]
+    inner -= (load[i] + inner - solve.residual[i]) * part
+    flesh.inner[i] = wp.where(wp.isfinite(inner), inner, wp.vec3())
     change = solve.change[i] * part
     change = change * wp.min(1.0, flesh.longest_step / wp.max(wp.length(change), 1.0e-12))
     moved = flesh.position[i] + change
@@ -358,6 +371,7 @@ class Flesh:
         data.position = put(rig.nodes, wp.vec3)
         data.carried = put(rig.nodes, wp.vec3)
         data.frame = put(np.tile((0.0, 0.0, 0.0, 1.0), (self.count, 1)), wp.quat)
+        data.inner = room(self.count, wp.vec3)
         data.turned_gradient = wp.zeros_like(data.gradient)
         data.traction = wp.zeros_like(data.gradient)
         data.stiffening = room(len(tetrahedra), wp.vec2)
@@ -379,16 +393,17 @@ class Flesh:
         self._launch(carry_nodes, self.data)
 
     def stretch(self) -> None:
-        """Find the stress where nodes are."""
+        """Find stress and inner forces where nodes are."""
         tetrahedra = len(self.data.volume)
         wp.launch(measure_stress, dim=tetrahedra, inputs=[self.data], device=self.device)
+        self._launch(sum_inner_forces, self.data)
 
     def stiffen(self) -> None:
         """Find the tangent to that stress."""
         self._launch(assemble_tangent, self.data)
 
     def relax(self, load: wp.array, part: float) -> None:
-        """Move nodes towards where forces balance.
+        """Move nodes towards where forces balance, by the tangent found last.
 
         Args:
             load: Force on each node [N].
@@ -396,7 +411,7 @@ class Flesh:
         """
         self._launch(balance_forces, self.data, load, self.solve_data)
         self._solve()
-        self._launch(move_nodes, part, self.data, self.solve_data)
+        self._launch(move_nodes, part, load, self.data, self.solve_data)
 
     def respond(self, load: wp.array) -> None:
         """Find the ``change`` that a load [N] alone would make; the nodes stay."""
@@ -420,12 +435,12 @@ class Flesh:
 
     def snapshot(self) -> dict[str, NDArray]:
         """Where nodes are, and where bones carry them."""
-        names = ("position", "carried", "frame")
+        names = ("position", "carried", "frame", "inner")
         return {name: getattr(self.data, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
-        for name in ("position", "carried", "frame"):
+        for name in ("position", "carried", "frame", "inner"):
             getattr(self.data, name).assign(state[name])
 
 
