@@ -115,7 +115,7 @@ def press_clay(
     hand.set_bones(posed(rig, at(0, 0, top + 0.001)))
     solver = Solver(scene, settings)
     height = top + 0.001
-    forces = []
+    forces: list[float] = []
     moving = 0
     while len(forces) < moving + 20:
         if height > top - depth:
