@@ -12,14 +12,12 @@ from .hand import Hand, HandContacts
 from .particles import Particles
 from .recording import Recordings
 from .soft_hand_bones import BonePath
+from .soft_hand_compliance import SkinCompliance
 from .soft_hand_contact import (
     HandForces,
     carry_skin,
     gather_forces,
     make_skin,
-    measure_response,
-    probe_skin,
-    spread_compliance,
 )
 from .soft_hand_flesh import Flesh, yielded_part
 from .soft_hand_hold import Hold
@@ -39,14 +37,6 @@ UNLIMITED_SPEED = 1.0e6
 """Faster than anything [m/s]."""
 SETTLING_TIME = 1.0
 """A hand that keeps still away from clay is in shape after this long [s]."""
-COMPLIANCE_MEMORY = 0.5
-"""Of what particles are told about how much flesh gives, this much stays when it is found anew:
-across the skin and along it every fourth step."""
-COMPLIANCE_RANGE = (0.05, 30.0)
-"""Bounds of what particles are told, over what a lone one would be."""
-TOLD_COMPLIANCE = 0.5
-"""Part of the compliance that particles are told: the rest of it damps. With all of it contact
-would be a spring; with less than an eighth what flesh does would overshoot."""
 
 
 class SoftHand:
@@ -79,8 +69,6 @@ class SoftHand:
         self.particles = particles
         self.row = row
         self.collider = collider
-        self._first_face = first_face
-        self._compliance = compliance
         self._travel = travel
         self.path = BonePath(rig.bone_rest)
         self.path.start = hand.bones.copy()
@@ -100,21 +88,21 @@ class SoftHand:
             indices=wp.array(rig.faces.ravel(), dtype=int, device=device),
             velocities=wp.zeros(len(rig.vertices), dtype=wp.vec3, device=device),
         )
-        bones = len(rig.bone_names)
         forces = HandForces()
         forces.impulse = wp.zeros(len(self._surface), dtype=wp.vec3d, device=device)
         forces.load = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
         forces.touched = wp.zeros(1, dtype=int, device=device)
         forces.deepest = wp.full(1, np.inf, dtype=float, device=device)
-        forces.axis = wp.zeros(1, dtype=wp.vec3, device=device)
-        forces.probe = wp.zeros(self.flesh.count, dtype=wp.vec3, device=device)
-        forces.response = wp.zeros(bones, dtype=wp.vec2d, device=device)
         self.forces = forces
-        lone = 1.0 / (hand.young_modulus * particles.spacing)
-        joints = self.hold.lone if self.hold else 0.0
-        self._lone = TOLD_COMPLIANCE * np.array((lone, lone, joints, joints))
-        """What faces are told to give that nothing touches [m/N]."""
-        self._by_bone = wp.zeros(bones, dtype=wp.vec4, device=device)
+        self.compliance = SkinCompliance(
+            self.flesh,
+            self.skin,
+            particles,
+            bones=len(rig.bone_names),
+            faces=compliance[first_face : first_face + len(rig.faces)],
+            lone=1.0 / (hand.young_modulus * particles.spacing),
+            lone_joint=self.hold.lone if self.hold else 0.0,
+        )
         self._boxes = _boxes_of_bones(hand)
         self._recordings = Recordings(particles, by_part=False)
         self._arrival = ARRIVAL_TIME
@@ -122,9 +110,7 @@ class SoftHand:
         self._arrived = False
         self._still = 0.0
         """How long the hand has been at rest, away from clay [s]."""
-        self._probe = 0
         self.present = hand.tracked
-        self._tell_compliance(np.tile(self._lone, (bones, 1)))
         self._place()
 
     def _place(self) -> None:
@@ -149,9 +135,11 @@ class SoftHand:
         before = self._carried_boxes(self.path.start)
         after = self._carried_boxes(target)
         swept = np.concatenate([before, after])
-        return float(np.sqrt(((after - before) ** 2).sum(1).max())), np.array(
-            [swept.min(0), swept.max(0)]
-        )
+        motion = float(np.sqrt(((after - before) ** 2).sum(1).max()))
+        if self.hand.tracked != self.present:
+            # A hand that comes or goes where it is disturbs what touches it.
+            motion = max(motion, np.finfo(float).tiny)
+        return motion, np.array([swept.min(0), swept.max(0)])
 
     def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Corners of the boxes around what each bone carries [m]: all flesh lies between them."""
@@ -177,6 +165,7 @@ class SoftHand:
         forces.impulse.zero_()
         if self._whole:
             forces.deepest.zero_()
+            forces.load.zero_()
         if jumps or returns:
             self.path.start = self.hand.bones.copy()
             forces.load.zero_()
@@ -284,72 +273,10 @@ class SoftHand:
         wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
 
     def learn_compliance(self, slots: ContactSlots) -> None:
-        """Find how much the flesh gives to what presses it now, every second step."""
-        if self._whole or not self.forces.touched.numpy()[0]:
-            return
-        self._probe = (self._probe + 1) % 8
-        if self._probe % 2:
-            return
-        along = self._probe // 2 % 2
-        self.forces.axis.assign(self._probe_axis())
-        self._recordings.run("probe", lambda: self._probe_flesh(slots))
-        response = self.flesh.solve_data.change
-        told = self._by_bone.numpy().astype(float)
-        self._learn(slots, response, told[:, along], self._lone[along])
-        if self.hold:
-            probe = self.forces.probe.numpy().astype(float)
-            response.assign(self.hold.response(self._nodes(), probe).astype(np.float32))
-            self._learn(slots, response, told[:, 2 + along], self._lone[2 + along])
-        self._tell_compliance(told)
-
-    def _learn(
-        self, slots: ContactSlots, response: wp.array, told: NDArray[np.float64], lone: float
-    ) -> None:
-        """Take in a response.
-
-        Args:
-            slots: The contacts.
-            response: What the probe moves the nodes by [m].
-            told: What each bone is told to give [m/N], changed in place.
-            lone: What it is told where nothing touches it [m/N].
-        """
-        self.forces.response.zero_()
-        inputs = [slots, self.skin, response, self.forces]
-        count = self.particles.count
-        wp.launch(measure_response, dim=count, inputs=inputs, device=self.device)
-        work, square = self.forces.response.numpy().T
-        known = square > 1e-9
-        given = TOLD_COMPLIANCE * np.divide(work, square, out=np.ones_like(work), where=known)
-        low, high = COMPLIANCE_RANGE
-        given = np.clip(given, low * lone, high * lone)
-        changed = told + (1.0 - COMPLIANCE_MEMORY) * (given - told)
-        told[:] = np.where(known, changed, lone)
-
-    def _probe_flesh(self, slots: ContactSlots) -> None:
-        forces, count = self.forces, self.particles.count
-        forces.probe.zero_()
-        wp.launch(probe_skin, dim=count, inputs=[slots, self.skin, forces], device=self.device)
-        self.flesh.respond(forces.probe)
-
-    def _probe_axis(self) -> NDArray[np.float32]:
-        """How to probe this time, shape [1, 3]: across the skin, or in one of two directions."""
-        if self._probe % 4 == 0:
-            return np.zeros((1, 3), np.float32)
-        force = self.forces.impulse.numpy().sum(0)
-        if not force.any():
-            force = np.array((0.0, 0.0, 1.0))
-        first = np.cross(force, np.eye(3)[np.abs(force).argmin()])
-        axis = first if self._probe == 2 else np.cross(force, first)
-        return (axis / np.linalg.norm(axis)).astype(np.float32)[None]
-
-    def _tell_compliance(self, by_bone: NDArray[np.float64]) -> None:
-        self._by_bone.assign(by_bone.astype(np.float32))
-        wp.launch(
-            spread_compliance,
-            dim=len(self.skin.group),
-            inputs=[self._first_face, self.skin.group, self._by_bone, self._compliance],
-            device=self.device,
-        )
+        """Find how much the hand gives to what presses it now."""
+        if not self._whole and self.forces.touched.numpy()[0]:
+            force = self.forces.impulse.numpy().sum(0)
+            self.compliance.learn(slots, force, self._nodes(), self.hold)
 
     def force(self, duration: float) -> NDArray[np.float64]:
         """Force of the clay [N], shape [3], mean over a step of ``duration`` [s]."""
@@ -387,8 +314,7 @@ class SoftHand:
         state["skin"] = self._mesh.points.numpy().copy()
         for name in ("impulse", "load", "touched", "deepest"):
             state[name] = getattr(self.forces, name).numpy().copy()
-        state["compliance"] = self._by_bone.numpy().copy()
-        state["probe"] = np.array(self._probe)
+        state |= self.compliance.snapshot()
         state["still"] = np.array(self._still)
         if self.hold:
             state["hold_turn"], state["hold_shift"] = self.hold.turn.copy(), self.hold.shift.copy()
@@ -416,8 +342,8 @@ class SoftHand:
         self._mesh.refit()
         for name in ("impulse", "load", "touched", "deepest"):
             getattr(self.forces, name).assign(own[name])
-        self._tell_compliance(own["compliance"].astype(float))
-        self._probe, self._still = int(own["probe"]), float(own["still"])
+        self.compliance.restore(own)
+        self._still = float(own["still"])
 
 
 def _boxes_of_bones(hand: Hand) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -5,18 +5,13 @@ A particle presses with its whole face: what it does is shared among the ghosts 
 of contact, nearest most, and by each ghost among the four nodes of the tetrahedron that carries it
 (Barreiro, Torres and Otaduy, WHC 2021, section III-D). Nothing is lost on the way: forces on ghosts
 and on nodes add up to those on the particles, turned round.
-
-Flesh yields to what presses it. Particles are told how much, so that the implicit solve of a
-substep knows that the surface gives: otherwise stiff clay and soft flesh, solved for in turns,
-would each overshoot what the other did (a Robin condition for partitioned coupling: Badia, Nobile
-and Vergara, Journal of Computational Physics 227, 2008, doi 10.1016/j.jcp.2008.04.006).
 """
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from .contact_law import ContactSlots, tangential
+from .contact_law import ContactSlots
 from .hand_rig import HandRig
 from .vector_units import OPTIONS
 
@@ -61,16 +56,10 @@ class HandForces:
     """On each ghost in this step [N s]."""
     load: wp.array[wp.vec3]
     """On each node in the last substep [N]."""
-    axis: wp.array[wp.vec3]
-    """Direction to probe along the skin; zero to probe across it."""
-    probe: wp.array[wp.vec3]
-    """What contacts would load nodes with if each pushed by 1 N [N]."""
     touched: wp.array[int]
     """Number of contacts in the last substep that push."""
     deepest: wp.array[float]
     """How far any ball lay inside in the last substep [m]."""
-    response: wp.array[wp.vec2d]
-    """Work of the probe on what it moves the skin by [N m], and its square [N²], by bone."""
 
 
 @wp.kernel(enable_backward=False)
@@ -171,70 +160,6 @@ def gather_forces(
                         weight = skin.ghost_weight[ghost]
                         for c in range(4):
                             wp.atomic_add(forces.load, corner[c], part * weight[c])
-
-
-@wp.func
-def probing(forces: HandForces, normal: wp.vec3) -> wp.vec3:
-    """How a contact is probed: across the skin, or along it as far as the axis lies in it."""
-    axis = forces.axis[0]
-    if wp.length_sq(axis) > 0.0:
-        return tangential(axis, normal)
-    return -normal
-
-
-@wp.kernel(enable_backward=False)
-def probe_skin(slots: ContactSlots, skin: Skin, forces: HandForces) -> None:
-    """Load nodes as if each contact that pushes did so by one newton."""
-    i = wp.tid()
-    for k in range(slots.count[i]):
-        touches = slots.collider[i, k] == skin.collider
-        if touches and wp.length_sq(slots.impulse[i, k]) > 0.0:
-            face = slots.face[i, k]
-            x = place_on_skin(skin, face, slots.place[i, k])
-            whole = whole_share(skin, face, x)
-            force = probing(forces, slots.normal[i, k])
-            for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                felt = part_felt(skin, face, at, x, whole)
-                if felt > 0.0:
-                    corner = skin.ghost_tetrahedron[skin.ghost[at]]
-                    weight = skin.ghost_weight[skin.ghost[at]]
-                    for c in range(4):
-                        wp.atomic_add(forces.probe, corner[c], force * (felt * weight[c]))
-
-
-@wp.kernel(enable_backward=False)
-def measure_response(
-    slots: ContactSlots, skin: Skin, response: wp.array[wp.vec3], forces: HandForces
-) -> None:
-    """Sum up what contacts give way, given what the probe moves the nodes by."""
-    i = wp.tid()
-    for k in range(slots.count[i]):
-        touches = slots.collider[i, k] == skin.collider
-        if touches and wp.length_sq(slots.impulse[i, k]) > 0.0:
-            face = slots.face[i, k]
-            x = place_on_skin(skin, face, slots.place[i, k])
-            whole = whole_share(skin, face, x)
-            force = probing(forces, slots.normal[i, k])
-            moved = wp.vec3()
-            for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                felt = part_felt(skin, face, at, x, whole)
-                if felt > 0.0:
-                    corner = skin.ghost_tetrahedron[skin.ghost[at]]
-                    weight = skin.ghost_weight[skin.ghost[at]]
-                    for c in range(4):
-                        moved += response[corner[c]] * (felt * weight[c])
-            work = wp.float64(wp.dot(force, moved))
-            square = wp.float64(wp.length_sq(force))
-            wp.atomic_add(forces.response, skin.group[face], wp.vec2d(work, square))
-
-
-@wp.kernel(enable_backward=False)
-def spread_compliance(
-    first: int, group: wp.array[int], by_group: wp.array[wp.vec4], compliance: wp.array[wp.vec4]
-) -> None:
-    """Give each face the compliance of its group."""
-    i = wp.tid()
-    compliance[first + i] = by_group[group[i]]
 
 
 def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> Skin:

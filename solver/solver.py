@@ -61,9 +61,10 @@ class Solver:
     times too fast. Blades thinner than a spacing do not cut. Thin threads of clay with little
     viscosity break early. Bonds act between neighbours only, so Poisson's ratio is that of a
     central-force network and the pressure keeps the volume. Contact is a stiff penalty: under a
-    fingertip particles enter a collider by a twentieth of the spacing. Colliders push clay but do
-    not yield to it. What lies between awake clay and a collider and sleeps does not pass on the
-    force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU has run it.
+    fingertip particles enter a collider by a twentieth of the spacing, and a soft hand that is hit
+    fast by up to their radius. Planes and meshes push clay but do not yield to it; hands do, some
+    milliseconds late, and pass through planes, meshes, each other and themselves. What lies between
+    awake clay and a collider and sleeps does not pass on the force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU has run it.
 
     Args:
         scene: What is in it; clay and colliders added later are not seen.

@@ -37,7 +37,7 @@ def test_a_press_into_stiff_clay_grows_with_the_stiffness_of_flesh():
     assert depths[0] < depths[1] < depths[2] < 0.0061
 
 
-@pytest.mark.parametrize(("edge", "substeps"), [(0.008, 8), (0.008, 2), (0.006, 4)])
+@pytest.mark.parametrize(("edge", "substeps"), [(0.008, 2), (0.006, 8)])
 def test_a_press_into_clay_does_not_depend_on_substeps_or_lattice(edge: float, substeps: int):
     """Feel the same force to 10 %, and feel it steadily."""
     reference = press_clay()

@@ -172,6 +172,25 @@ def test_a_block_on_an_open_palm_weighs_m_g(palm: HandRig, hold_stiffness: float
     assert solver.diagnostics().awake == 0
 
 
+def test_clay_that_sleeps_on_a_palm_falls_when_the_hand_is_lost(palm: HandRig):
+    """Wake what rested on a hand that is not there any more."""
+    scene = Scene(SPACING)
+    scene.add_clay(block(3, SPACING, (0.001, 0.002, 0.0)), Material())
+    hand = scene.add_hand(palm)
+    solver = Solver(scene)
+    for _ in range(60):
+        solver.step(FRAME)
+    assert solver.diagnostics().awake == 0
+    assert solver.force_on(hand)[2] < 0.0
+    hand.set_tracked(False)
+    before = solver.positions()[:, 2].mean()
+    for _ in range(12):
+        solver.step(FRAME)
+    fallen = before - solver.positions()[:, 2].mean()
+    assert fallen == pytest.approx(0.5 * 9.81 * 0.2**2, rel=0.03)
+    assert not solver.force_on(hand).any()
+
+
 @pytest.mark.parametrize("hold_stiffness", [None, 500.0])
 def test_two_hands_that_squeeze_a_block_feel_the_same(palm: HandRig, hold_stiffness: float | None):
     """Squeeze a free block: forces are equal and opposite, and it stays in the middle."""

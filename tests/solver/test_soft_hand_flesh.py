@@ -8,7 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from tactile_clay.solver.hand_rig import HandRig
-from tactile_clay.solver.soft_hand_flesh import STIFFENING_STRAIN, Flesh
+from tactile_clay.solver.soft_hand_elasticity import STIFFENING_STRAIN
+from tactile_clay.solver.soft_hand_flesh import Flesh
 from tactile_clay.solver.soft_hand_rest import rest_of
 from tactile_clay.tests.experiments.hand_shapes import bind, finger, lattice
 
