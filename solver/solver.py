@@ -64,7 +64,8 @@ class Solver:
     fingertip particles enter a collider by a twentieth of the spacing, and a soft hand that is hit
     fast by up to their radius. Planes and meshes push clay but do not yield to it; hands do, some
     milliseconds late, and pass through planes, meshes, each other and themselves. What lies between
-    awake clay and a collider and sleeps does not pass on the force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU has run it.
+    awake clay and a collider and sleeps does not pass on the force of a press. On a GPU the coarse
+    matrix is inverted on the host, and no GPU has run it.
 
     Args:
         scene: What is in it; clay and colliders added later are not seen.
