@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .default_hand import default_hand_rig
     from .diagnostics import Diagnostics
     from .fill import fill_mesh
+    from .hand import Hand, HandContacts
     from .hand_binding import bind_hand
     from .hand_rig import HandRig
     from .scene import ClayBody, MeshCollider, Plane, Scene
@@ -25,6 +26,8 @@ __all__ = [
     "QUALITIES",
     "ClayBody",
     "Diagnostics",
+    "Hand",
+    "HandContacts",
     "HandRig",
     "Material",
     "MeshCollider",
@@ -43,6 +46,8 @@ __all__ = [
 _LOADED_ON_USE = {
     "ClayBody": "scene",
     "Diagnostics": "diagnostics",
+    "Hand": "hand",
+    "HandContacts": "hand",
     "HandRig": "hand_rig",
     "MeshCollider": "scene",
     "Plane": "scene",

@@ -7,8 +7,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .particles import Particles
 from .polar import rotation_and_stretch
-from .scene import MeshCollider, Plane
+from .scene import MeshCollider, Plane, Scene
+from .soft_hand import SoftHand
+
+OUT_OF_REACH = 1.0e6
+"""Clearance of a hand that cannot be touched [m]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -97,33 +102,28 @@ class _MovingMesh:
 
 
 class MeshColliders:
-    """All mesh colliders of a scene.
+    """All mesh colliders and hands of a scene.
 
     A collider's pose is split into a rigid part, which moves the query point, and a stretch,
-    which is applied to the vertices; only a change of shape refits the mesh.
+    which is applied to the vertices; only a change of shape refits the mesh. The skin of a hand
+    stands in the world as it is.
 
     Args:
-        colliders: The colliders, at their poses of now.
-        particle_count: Number of clay particles.
-        device: Warp device.
+        scene: The colliders, at their poses of now.
+        particles: The clay.
     """
 
-    def __init__(
-        self, colliders: list[MeshCollider], particle_count: int, device: wp.Device
-    ) -> None:
-        self.device = device
+    def __init__(self, scene: Scene, particles: Particles) -> None:
+        self.device = device = particles.device
         self.moving: list[_MovingMesh] = []
-        for collider in colliders:
+        for collider in scene.meshes:
             shape = _shape_of(collider, None)
             mesh = _make_mesh(collider, shape, device)
             self.moving.append(_MovingMesh(collider, mesh, shape))
-        count = len(colliders)
-        self.mesh = wp.array([m.mesh.id for m in self.moving], dtype=wp.uint64, device=device)
+        count = len(scene.meshes) + len(scene.hands)
         self.reach = wp.zeros(count, dtype=float, device=device)
         self.travel = wp.zeros(count, dtype=float, device=device)
-        self.orientation = wp.array(
-            [m.shape.orientation for m in self.moving], dtype=float, device=device
-        )
+        self.orientation = wp.ones(count, dtype=float, device=device)
         self.pose = wp.zeros((count, 8), dtype=wp.transform, device=device)
         # Vector units read four floats at a time.
         self.pose_before = wp.zeros(count + 1, dtype=wp.transform, device=device)[:count]
@@ -133,11 +133,36 @@ class MeshColliders:
         self.generation = 0
         self.substep = wp.zeros(1, dtype=int, device=device)
         """Which of a step's substeps is under way; on the device, so that it can be recorded."""
-        self.clearance = wp.zeros((count, particle_count), dtype=float, device=device)
+        self.clearance = wp.zeros((count, particles.count), dtype=float, device=device)
         self._targets: list[_Shape] = []
+        faces = [len(hand.rig.faces) for hand in scene.hands]
+        begin = np.concatenate([[0], np.cumsum(faces)]).astype(int)
+        first_face = [-1] * len(scene.meshes) + begin[:-1].tolist()
+        self.first_face = wp.array(first_face, dtype=int, device=device)
+        """Where the faces of each mesh begin in ``compliance``; -1 for a rigid one."""
+        self.compliance = wp.zeros(int(begin[-1]), dtype=wp.vec4, device=device)
+        """How much flesh and joints give to a contact at each face of the hands [m/N]."""
+        self.hands = [
+            SoftHand(
+                hand,
+                collider=len(scene.planes) + len(scene.meshes) + which,
+                row=len(scene.meshes) + which,
+                first_face=int(begin[which]),
+                compliance=self.compliance,
+                travel=self.travel,
+                particles=particles,
+            )
+            for which, hand in enumerate(scene.hands)
+        ]
+        self._contactless = [False] * len(self.hands)
+        self.mesh = wp.zeros(count, dtype=wp.uint64, device=device)
+        self._tell_meshes()
 
     def _tell_meshes(self) -> None:
-        self.mesh.assign(np.array([m.mesh.id for m in self.moving], np.uint64))
+        ids = [m.mesh.id for m in self.moving] + [hand.mesh_id for hand in self.hands]
+        self.mesh.assign(np.array(ids, np.uint64))
+        mirrored = [m.shape.orientation for m in self.moving] + [1.0] * len(self.hands)
+        self.orientation.assign(np.array(mirrored, np.float32))
 
     def farthest_motion(self, ignored: float) -> tuple[list[float], list[NDArray[np.float64]]]:
         """How far any vertex of each collider is going to move in this step, and where.
@@ -162,6 +187,10 @@ class MeshColliders:
             motions.append(motion)
             swept = np.concatenate([begin.moved(begin.corners), end.moved(end.corners)])
             boxes.append(np.array([swept.min(0), swept.max(0)]))
+        for hand in self.hands:
+            motion, box = hand.plan()
+            motions.append(motion)
+            boxes.append(box)
         return motions, boxes
 
     def approach(self, which: int, box: NDArray[np.float64]) -> float:
@@ -189,41 +218,46 @@ class MeshColliders:
             farthest = max(farthest, float((along / np.maximum(size, 1e-30)).max(initial=0.0)))
         return farthest
 
-    def begin_step(self, substeps: int, motions: list[float], teleported: list[bool]) -> None:
+    def begin_step(
+        self,
+        duration: float,
+        substeps: int,
+        motions: list[float],
+        boxes: list[NDArray[np.float64]],
+        teleported: list[bool],
+        near: list[bool],
+    ) -> None:
         """Lay out the colliders' way through the coming substeps.
 
         Args:
+            duration: Of the step [s].
             substeps: Number of substeps.
             motions: What `farthest_motion` gave [m].
+            boxes: What it gave [m].
             teleported: Colliders that jump to their target at once instead of sweeping there.
+            near: Colliders that may meet clay on the way.
         """
         targets = self._targets
-        poses = np.zeros((len(self.moving), substeps + 1, 7), np.float32)
-        reach = np.zeros(len(self.moving), np.float32)
-        travel = np.zeros(len(self.moving), np.float32)
-        turned = np.zeros(len(self.moving), bool)
-        if any(
-            t.orientation != m.shape.orientation for t, m in zip(targets, self.moving, strict=True)
-        ):
-            self.orientation.assign(np.array([t.orientation for t in targets], np.float32))
+        poses = np.zeros((len(motions), substeps + 1, 7), np.float32)
+        poses[:, :, 6] = 1.0
+        reach = np.array([0.5 * np.linalg.norm(box[1] - box[0]) for box in boxes], np.float32)
+        travel = np.where(teleported, 0.0, np.array(motions) / substeps).astype(np.float32)
+        turning = np.zeros(len(motions), bool)
         for which, (moving, target) in enumerate(zip(self.moving, targets, strict=True)):
+            turned = target.orientation != moving.shape.orientation
             before = target if teleported[which] else moving.shape
             if teleported[which]:
                 row = self.clearance.numpy()
                 row[which] = 0.0
                 self.clearance.assign(row)
-            if target.orientation != moving.shape.orientation:
+            if turned:
                 moving.mesh = _make_mesh(moving.collider, target, self.device)
-                self._tell_meshes()
             poses[which] = _way(before, target, substeps)
-            turned[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
-            if not teleported[which]:
-                travel[which] = motions[which] / substeps
-                if turned[which] or self._turned[which]:
-                    travel[which] = 0.0
-                    if target.vertices is not before.vertices:
-                        change = _longest(target.vertices - before.vertices)
-                        travel[which] = change / substeps
+            turning[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
+            if not teleported[which] and (turning[which] or self._turned[which]):
+                travel[which] = 0.0
+                if target.vertices is not before.vertices:
+                    travel[which] = _longest(target.vertices - before.vertices) / substeps
             if target.vertices is not before.vertices:
                 moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
                 moving.end = wp.array(target.vertices, dtype=wp.vec3, device=self.device)
@@ -237,23 +271,41 @@ class MeshColliders:
                 moving.start = moving.end = None
             reach[which] = 0.5 * _size(target.corners)
             moving.shape = target
+            if turned:
+                self._tell_meshes()
         self.reach.assign(reach)
         self.travel.assign(travel)
-        self.turning.assign((turned | self._turned).astype(np.int32))
+        self.turning.assign((turning | self._turned).astype(np.int32))
         self.pose_before.assign(self._poses_before)
-        self._poses_before, self._turned = poses[:, -2].copy(), turned
+        self._poses_before, self._turned = poses[:, -2].copy(), turning
+        for hand in self.hands:
+            jumps = teleported[hand.row]
+            hand.begin_step(duration, jumps=jumps, near=near[hand.row])
+            self._show(hand, jumps)
         room = self.pose.shape[1]
         while room < substeps + 1:
             room *= 2
         if room != self.pose.shape[1]:
-            self.pose = wp.zeros((len(self.moving), room), dtype=wp.transform, device=self.device)
+            self.pose = wp.zeros((len(motions), room), dtype=wp.transform, device=self.device)
             self.generation += 1
-        filled = np.zeros((len(self.moving), room, 7), np.float32)
+        filled = np.zeros((len(motions), room, 7), np.float32)
         filled[:, : substeps + 1] = poses
         self.pose.assign(filled)
 
-    def begin_substep(self, substep: int, substeps: int) -> None:
-        """Bring deforming meshes to the end of a substep."""
+    def _show(self, hand: SoftHand, jumps: bool) -> None:
+        """Let clay touch a hand or not; one that jumps may be anywhere now."""
+        which = hand.row - len(self.moving)
+        appears = hand.present and self._contactless[which]
+        vanishes = not hand.present and not self._contactless[which]
+        if jumps or appears or vanishes:
+            if self.clearance.size:
+                self.clearance[hand.row].fill_(0.0 if hand.present else OUT_OF_REACH)
+            self._contactless[which] = not hand.present
+
+    def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
+        """Bring deforming meshes to the end of a substep of ``time_step`` [s]."""
+        for hand in self.hands:
+            hand.begin_substep(substep, substeps, time_step)
         self.substep.fill_(substep)
         for moving in self.moving:
             if moving.start is not None:
@@ -272,6 +324,8 @@ class MeshColliders:
             "collider_poses_before": self._poses_before.copy(),
             "collider_turned": self._turned.copy(),
         }
+        for hand in self.hands:
+            state |= hand.snapshot()
         for which, moving in enumerate(self.moving):
             for name in ("rotation", "translation", "vertices", "orientation"):
                 value = np.array(getattr(moving.shape, name))
@@ -296,8 +350,9 @@ class MeshColliders:
             moving.start = moving.end = None
             moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
         self._tell_meshes()
-        orientations = [m.shape.orientation for m in self.moving]
-        self.orientation.assign(np.array(orientations, np.float32))
+        for hand in self.hands:
+            hand.restore(state)
+        self._contactless = [not hand.present for hand in self.hands]
 
 
 def _make_mesh(collider: MeshCollider, shape: _Shape, device: wp.Device) -> wp.Mesh:

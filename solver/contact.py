@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from . import contact_cpu
 from .colliders import MeshColliders, PlaneColliders
 from .contact_law import (
+    DEPENETRATION_SPEED,
     MOST_CONTACTS,
     ContactPass,
     ContactSlots,
@@ -22,6 +23,7 @@ from .contact_law import (
     wake_contacts,
 )
 from .cutting import cut_bonds, cut_bonds_of_block
+from .hand import Hand
 from .pair_rows import PairRows
 from .particles import ByPart, Particles
 from .scene import MeshCollider, Plane, Scene
@@ -33,7 +35,7 @@ class Contacts:
     A scene without colliders keeps no slots.
 
     Args:
-        scene: Its planes and meshes are the colliders, in this order.
+        scene: Its planes, meshes and hands are the colliders, in this order.
         particles: What they touch.
         friction: Whether friction acts.
     """
@@ -41,9 +43,15 @@ class Contacts:
     def __init__(self, scene: Scene, particles: Particles, *, friction: bool) -> None:
         self.particles = particles
         self.device = device = particles.device
-        self.colliders: list[Plane | MeshCollider] = [*scene.planes, *scene.meshes]
+        self.colliders: list[Plane | MeshCollider | Hand] = [
+            *scene.planes,
+            *scene.meshes,
+            *scene.hands,
+        ]
         self.planes = PlaneColliders(scene.planes, device) if scene.planes else None
-        self.meshes = MeshColliders(scene.meshes, particles.count, device) if scene.meshes else None
+        self.meshes = MeshColliders(scene, particles) if scene.meshes or scene.hands else None
+        self.time_step = 0.0
+        """Length of the last substep [s]."""
         self._plane_count = len(scene.planes)
         rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
         slots = ContactSlots()
@@ -56,6 +64,7 @@ class Contacts:
             ("impulse", wp.vec3),
             ("normal_stiffness", float),
             ("friction_stiffness", float),
+            ("stick_stiffness", float),
             ("collider_before", int),
             ("anchor_before", wp.vec3),
             ("slide", float),
@@ -64,6 +73,21 @@ class Contacts:
             ("push_before", float),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
+        soft_rows = (particles.count if scene.hands else 0, MOST_CONTACTS)
+        for name, dtype in (
+            ("compliance", wp.vec2),
+            ("lean", wp.vec3),
+            ("borne", wp.vec3),
+            ("borne_before", wp.vec3),
+            ("held", wp.vec3),
+            ("held_before", wp.vec3),
+            ("face", int),
+            ("place", wp.vec2),
+        ):
+            setattr(slots, name, wp.zeros(soft_rows, dtype=dtype, device=device))
+        slots.recovery_speed = wp.full(
+            len(self.colliders), DEPENETRATION_SPEED, dtype=float, device=device
+        )
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
         slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots
@@ -72,6 +96,9 @@ class Contacts:
             for row, material in enumerate(particles.materials):
                 for column, collider in enumerate(self.colliders):
                     table[row, column] = math.sqrt(material.friction * collider.friction)
+        self._full_friction = table
+        self._grasp = np.ones(len(self.colliders))
+        self._speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
         self.friction = wp.array(table, dtype=float, device=device)
         """Of each material on each collider: the geometric mean of the two."""
         around = Surroundings()
@@ -87,6 +114,8 @@ class Contacts:
                 "turning",
                 "travel",
                 "clearance",
+                "first_face",
+                "compliance",
             ):
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
@@ -124,7 +153,8 @@ class Contacts:
     def wake(self, woken: wp.array) -> None:
         """Take up the contacts of particles that wake, given their indices."""
         if self.colliders:
-            inputs = [woken, self.slots, self._surroundings.clearance, self.resting_force]
+            clearance = self._surroundings.clearance
+            inputs = [woken, self.time_step, self.slots, clearance, self.resting_force]
             wp.launch(wake_contacts, dim=len(woken), inputs=inputs, device=self.device)
 
     def begin_step(self) -> None:
@@ -133,6 +163,8 @@ class Contacts:
         self.deepest.zero_()
         # What falls asleep at the end of the step has pressed in it awake.
         wp.copy(self._slept_force, self.resting_force)
+        if self.meshes and self.meshes.hands:
+            self._take_hold()
 
     def force_on(self, which: int, duration: float) -> NDArray[np.float64]:
         """Mean force of the clay on a collider in the last step [N], shape [3].
@@ -143,6 +175,19 @@ class Contacts:
         """
         moving = self.impulse.numpy().sum(0)[which] / duration
         return moving + self._slept_force.numpy()[which]
+
+    def _take_hold(self) -> None:
+        """Let hands that have just come take hold of the clay by and by."""
+        assert self.meshes is not None
+        grasp = np.ones(len(self.colliders))
+        speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
+        for hand in self.meshes.hands:
+            grasp[hand.collider] = hand.grasp
+            speed[hand.collider] = hand.recovery_speed
+        if not (np.array_equal(grasp, self._grasp) and np.array_equal(speed, self._speed)):
+            self._grasp, self._speed = grasp, speed
+            self.friction.assign((self._full_friction * grasp).astype(np.float32))
+            self.slots.recovery_speed.assign(speed.astype(np.float32))
 
     def find(self, common: ContactPass) -> None:
         """Find the contacts of a substep; those that were there before keep their anchors."""
@@ -238,6 +283,8 @@ class Contacts:
             "contact_resting_force": self.resting_force.numpy().copy(),
             "contact_slide": self.slots.slide.numpy().copy(),
             "contact_push": self.slots.push.numpy().copy(),
+            "contact_borne": self.slots.borne.numpy().copy(),
+            "contact_held": self.slots.held.numpy().copy(),
             **(self.meshes.snapshot() if self.meshes else {}),
         }
 
@@ -253,6 +300,8 @@ class Contacts:
         wp.copy(self._slept_force, self.resting_force)
         self.slots.slide.assign(state["contact_slide"])
         self.slots.push.assign(state["contact_push"])
+        self.slots.borne.assign(state["contact_borne"])
+        self.slots.held.assign(state["contact_held"])
         if self.meshes:
             self.meshes.restore(state)
 

@@ -20,6 +20,8 @@ MARGIN = 0.25
 """Contacts are found this far off the surface, in spacings: a substep may close the gap."""
 CONTACT_STIFFNESS = 2.0
 """Stiffness of a contact over that of the clay around the particle."""
+SOFT_DEPTH = 1.0
+"""From this depth on soft surfaces push as if they were rigid, in radii of a particle."""
 UNKNOWN_SLIDE = 1.0e9
 """The slip [m] that a new contact may assume."""
 
@@ -34,6 +36,8 @@ class ContactPass:
     """Radius of a particle [m]."""
     margin: float
     """How far off contacts are found [m]."""
+    yielding: wp.vec2
+    """How far flesh and joints give way in this substep, of what forces ask for."""
 
 
 @wp.struct
@@ -55,6 +59,8 @@ class ContactSlots:
     """[kg]: force derivative times Δt²."""
     friction_stiffness: wp.array2d[float]
     """[kg]; less than the normal one where the contact slides."""
+    stick_stiffness: wp.array2d[float]
+    """The friction stiffness of a contact that does not slide [kg]."""
     count_before: wp.array[int]
     collider_before: wp.array2d[int]
     anchor_before: wp.array2d[wp.vec3]
@@ -65,6 +71,22 @@ class ContactSlots:
     push: wp.array2d[float]
     """Normal impulse that the last solve applied [N s], which limits friction."""
     push_before: wp.array2d[float]
+    recovery_speed: wp.array[float]
+    """How fast each collider moves out what lies inside it [m/s]."""
+    compliance: wp.array2d[wp.vec2]
+    """How much a soft surface gives to the contact across and along itself [m/N], 0 where it is
+    rigid. This and what follows has no rows where no collider is soft."""
+    borne: wp.array2d[wp.vec3]
+    """Part of the force on the particle that flesh has given way to by now [N]."""
+    borne_before: wp.array2d[wp.vec3]
+    held: wp.array2d[wp.vec3]
+    """Part of it that joints have given way to [N]."""
+    held_before: wp.array2d[wp.vec3]
+    lean: wp.array2d[wp.vec3]
+    """What both have given way [m]."""
+    face: wp.array2d[int]
+    """Where the contact is on a soft surface, and at what barycentric coordinates."""
+    place: wp.array2d[wp.vec2]
 
 
 @wp.func
@@ -76,6 +98,9 @@ def add_contact(
     gap: float,
     surface_motion: wp.vec3,
     turn: wp.quat,
+    compliance: wp.vec4,
+    face: int,
+    place: wp.vec2,
 ) -> None:
     """Give a particle a contact, with the anchor that it had on this collider before."""
     used = slots.count[i]
@@ -88,8 +113,13 @@ def add_contact(
         anchor = wp.vec3()
         slide = float(UNKNOWN_SLIDE)
         push = float(0.0)
+        borne = wp.vec3()
+        held = wp.vec3()
         for k in range(slots.count_before[i]):
             if slots.collider_before[i, k] == collider:
+                if compliance[0] > 0.0:
+                    borne = slots.borne_before[i, k]
+                    held = slots.held_before[i, k]
                 anchor = wp.quat_rotate(turn, slots.anchor_before[i, k])
                 slide = slots.slide_before[i, k]
                 push = slots.push_before[i, k]
@@ -97,6 +127,17 @@ def add_contact(
         slots.slide[i, used] = slide
         slots.push[i, used] = push
         slots.normal_stiffness[i, used] = 0.0
+        if i < slots.compliance.shape[0]:
+            slots.borne[i, used] = borne
+            slots.held[i, used] = held
+            across = borne * compliance[0] + held * compliance[2]
+            along = borne * compliance[1] + held * compliance[3]
+            slots.lean[i, used] = along + normal * wp.dot(across - along, normal)
+            slots.compliance[i, used] = wp.vec2(
+                compliance[0] + compliance[2], compliance[1] + compliance[3]
+            )
+            slots.face[i, used] = face
+            slots.place[i, used] = place
         slots.count[i] = used + 1
 
 
@@ -122,6 +163,11 @@ class Surroundings:
     clearance: wp.array2d[float]
     """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
     up, the mesh is not asked."""
+    first_face: wp.array[int]
+    """Where the faces of each mesh begin in ``compliance``; -1 where it is rigid."""
+    compliance: wp.array[wp.vec4]
+    """How much flesh gives to a contact at each face of soft meshes, across and along it, and how
+    much joints do [m/N]."""
 
 
 @wp.func
@@ -192,6 +238,12 @@ def find_contacts(
         slots.anchor_before[i, k] = slots.anchor[i, k]
         slots.slide_before[i, k] = slots.slide[i, k]
         slots.push_before[i, k] = slots.push[i, k]
+        if i < slots.compliance.shape[0]:
+            force = slots.impulse[i, k] / common.time_step_before
+            borne = slots.borne[i, k]
+            held = slots.held[i, k]
+            slots.borne_before[i, k] = borne + (force - borne) * common.yielding[0]
+            slots.held_before[i, k] = held + (force - held) * common.yielding[1]
     slots.count_before[i] = slots.count[i]
     slots.count[i] = 0
     x = position[i]
@@ -213,6 +265,10 @@ def find_contacts(
         if bound > 0.0:
             reach = wp.min(reach, 4.0 * near)
             query = wp.mesh_query_point_no_sign(around.mesh[which], local, reach)
+        elif around.first_face[which] >= 0:
+            # Winding numbers of a mesh that deforms all the time cost more than the rest of it.
+            query = wp.mesh_query_point_sign_normal(around.mesh[which], local, reach)
+            sign = query.sign
         else:
             query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
             sign = query.sign
@@ -237,13 +293,30 @@ def find_contacts(
             turn = wp.transform_get_rotation(after) * wp.quat_inverse(
                 wp.transform_get_rotation(before)
             )
-            add_contact(slots, i, plane_count + which, normal, gap, surface_motion, turn)
+            compliance = wp.vec4()
+            if around.first_face[which] >= 0:
+                compliance = around.compliance[around.first_face[which] + query.face]
+            place = wp.vec2(query.u, query.v)
+            add_contact(
+                slots,
+                i,
+                plane_count + which,
+                normal,
+                gap,
+                surface_motion,
+                turn,
+                compliance,
+                query.face,
+                place,
+            )
     for plane in range(plane_count):
         normal = around.plane_normal[plane]
         gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
         closing = wp.max(-wp.dot(motion, normal), 0.0)
         if gap - closing < common.margin:
-            add_contact(slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity())
+            add_contact(
+                slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity(), wp.vec4(), 0, wp.vec2()
+            )
 
 
 @wp.kernel(enable_backward=False)
@@ -259,6 +332,12 @@ def find_all_contacts(
     i = awake_particle(awake, wp.tid())
     if i >= 0 and comes_near(common, around, position, velocity, slots, i):
         find_contacts(common, around, position, velocity, slots, i)
+
+
+@wp.func
+def tangential(vector: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """The part of a vector along a surface."""
+    return vector - normal * wp.dot(vector, normal)
 
 
 @wp.func
@@ -295,19 +374,39 @@ def press_contacts(
             if slots.normal_stiffness[i, k] > 0.0:
                 solved = wp.dot(change[i], n) * slots.normal_stiffness[i, k]
                 slots.push[i, k] = wp.max(wp.dot(slots.impulse[i, k], n) - solved, 0.0)
-            allowed = wp.min(gap + DEPENETRATION_SPEED * dt, 0.0)
+            speed = slots.recovery_speed[slots.collider[i, k]]
+            allowed = wp.min(gap + speed * dt, 0.0)
             depth = allowed - gap - wp.dot(relative, n)
+            across = stiffness
+            along = stiffness
+            lean = wp.vec3()
+            beyond = float(0.0)
+            if i < slots.compliance.shape[0]:
+                # The surface gives by what the force changes: the two are springs in a row, and
+                # the far end is where the surface would be without the force.
+                lean = slots.lean[i, k]
+                depth += wp.dot(lean, n)
+                # Farther in than flesh can give way in time it is like bone: nothing gets through.
+                inner = gap + SOFT_DEPTH * common.radius
+                allowed = wp.min(inner + wp.min(speed, DEPENETRATION_SPEED) * dt, 0.0)
+                beyond = allowed - inner - wp.dot(relative, n)
+                gives = slots.compliance[i, k] * (stiffness / (dt * dt))
+                across = stiffness / (1.0 + gives[0])
+                along = stiffness / (1.0 + gives[1])
             impulse = wp.vec3()
             normal_stiffness = float(0.0)
             friction_stiffness = float(0.0)
             if depth > 0.0:
-                normal_stiffness = stiffness
-                normal_push = stiffness * depth / dt
-                slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+                normal_stiffness = across
+                normal_push = across * depth / dt
+                if beyond > 0.0 and stiffness > across:
+                    normal_stiffness = stiffness
+                    normal_push += (stiffness - across) * beyond / dt
+                slip = tangential(relative - lean, n) + slots.anchor[i, k]
                 slip_length = wp.min(wp.length(slip), slots.slide[i, k])
                 slots.slide[i, k] = UNKNOWN_SLIDE
                 limit = friction[material[i], slots.collider[i, k]] * slots.push[i, k]
-                friction_stiffness = wp.min(stiffness, limit * dt / wp.max(slip_length, 1.0e-12))
+                friction_stiffness = wp.min(along, limit * dt / wp.max(slip_length, 1.0e-12))
                 impulse = n * normal_push - slip * (friction_stiffness / dt)
                 contacts += (
                     wp.outer(n, n) * (normal_stiffness - friction_stiffness)
@@ -317,6 +416,7 @@ def press_contacts(
             slots.impulse[i, k] = impulse
             slots.normal_stiffness[i, k] = normal_stiffness
             slots.friction_stiffness[i, k] = friction_stiffness
+            slots.stick_stiffness[i, k] = along
         residual[i] = residual[i] + push
         diagonal[i] = diagonal[i] + contacts
         block += contacts
@@ -386,11 +486,15 @@ def settle_contacts(
             )
             slots.impulse[i, k] = applied
             wp.atomic_add(impulse, slots.collider[i, k], wp.vec3d(-applied))
-            slip = relative - n * wp.dot(relative, n) + slots.anchor[i, k]
+            lean = wp.vec3()
+            if i < slots.compliance.shape[0]:
+                lean = slots.lean[i, k]
+            slip = tangential(relative - lean, n) + slots.anchor[i, k]
             slip_length = wp.length(slip)
             limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
-            most = limit * dt / normal_stiffness
-            slots.anchor[i, k] = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+            most = limit * dt / slots.stick_stiffness[i, k]
+            held_slip = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+            slots.anchor[i, k] = held_slip + tangential(lean, n)
             slots.slide[i, k] = slip_length
             slots.push[i, k] = wp.max(wp.dot(applied, n), 0.0)
         else:
@@ -438,6 +542,7 @@ def rest_contacts(
 @wp.kernel(enable_backward=False)
 def wake_contacts(
     woken: wp.array[int],
+    time_step: float,
     slots: ContactSlots,
     clearance: wp.array2d[float],
     force: wp.array[wp.vec3d],
@@ -446,5 +551,6 @@ def wake_contacts(
     i = woken[wp.tid()]
     for k in range(slots.count[i]):
         wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))
+        slots.impulse[i, k] = slots.impulse[i, k] * time_step
     for which in range(clearance.shape[0]):
         clearance[which, i] = 0.0

@@ -66,11 +66,12 @@ class Recordings:
 
     Args:
         particles: Whose passes are recorded.
+        by_part: Whether the passes are those of the particles, which threads can share.
     """
 
-    def __init__(self, particles: Particles) -> None:
+    def __init__(self, particles: Particles, *, by_part: bool = True) -> None:
         self.particles = particles
-        self._side_by_side = particles.parts == 2 and processor_count() > 1
+        self._side_by_side = by_part and particles.parts == 2 and processor_count() > 1
         self._recordings: dict[Hashable, _Recording] = {}
         self._seen: set[Hashable] = set()
 

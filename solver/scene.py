@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a simulation: clay, planes and moving closed meshes. A `Solver` is built from it."""
+"""What is in a simulation: clay, planes, moving closed meshes and hands, for a `Solver`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .closed_mesh import check_closed_mesh, mesh_volume
 from .fill import fill_mesh
+from .hand import POISSON_RATIO, YOUNG_MODULUS, Hand
+from .hand_rig import HandRig
 from .material import Material
 
 DEFAULT_COLOR = (0.72, 0.36, 0.22, 1.0)
@@ -145,6 +147,7 @@ class Scene:
         self.bodies: list[ClayBody] = []
         self.planes: list[Plane] = []
         self.meshes: list[MeshCollider] = []
+        self.hands: list[Hand] = []
         self._points: list[NDArray[np.float32]] = []
         self._colors: list[NDArray[np.float32]] = []
         self._velocities: list[NDArray[np.float32]] = []
@@ -264,6 +267,51 @@ class Scene:
         collider = MeshCollider(points.copy(), np.ascontiguousarray(triangles), _friction(friction))
         self.meshes.append(collider)
         return collider
+
+    def add_hand(
+        self,
+        rig: HandRig,
+        *,
+        friction: float = 0.5,
+        young_modulus: float = YOUNG_MODULUS,
+        poisson_ratio: float = POISSON_RATIO,
+        hold_stiffness: float | None = None,
+    ) -> Hand:
+        """Add a hand; see `Hand` for how it moves.
+
+        Args:
+            rig: The hand as it was bound.
+            friction: Coulomb friction coefficient.
+            young_modulus: Of its flesh [Pa].
+            poisson_ratio: Of its flesh, 0 to below 0.49.
+            hold_stiffness: How stiffly it holds its pose against the clay: force on a fingertip
+                over how far that gives way [N/m]. Where not given, bones are exactly where they
+                are set to be, whatever the clay does.
+
+        Raises:
+            ValueError: A value is not finite or out of its range.
+        """
+        if not (np.isfinite(young_modulus) and young_modulus > 0):
+            raise ValueError(
+                f"The flesh's Young's modulus is {young_modulus!r}; it must be above 0."
+            )
+        if not 0.0 <= poisson_ratio < 0.49:
+            raise ValueError(
+                f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must lie in 0 to below 0.49."
+            )
+        if hold_stiffness is not None and not (np.isfinite(hold_stiffness) and hold_stiffness > 0):
+            raise ValueError(
+                f"The hold stiffness is {hold_stiffness!r} N/m; it must be above 0, or None."
+            )
+        hand = Hand(
+            rig,
+            friction=_friction(friction),
+            young_modulus=float(young_modulus),
+            poisson_ratio=float(poisson_ratio),
+            hold_stiffness=hold_stiffness,
+        )
+        self.hands.append(hand)
+        return hand
 
     def initial_positions(self) -> NDArray[np.float32]:
         """Particle positions as added [m], shape [N, 3]."""

@@ -11,12 +11,16 @@ from .clay_model import ClayModel
 from .contact import Contacts
 from .contact_law import MARGIN, ContactPass
 from .diagnostics import Diagnostics
+from .hand import Hand, HandContacts
 from .paper_model import PaperModel
 from .particles import Particles
 from .plastic_bonds import PlasticBonds
 from .regions import Regions
 from .scene import MeshCollider, Plane, Scene
 from .settings import BASE_STEP, Settings
+from .soft_hand import SoftHand
+from .soft_hand_flesh import yielded_part
+from .soft_hand_hold import held_part
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""
@@ -61,10 +65,11 @@ class Solver:
     bounces with a third of the speed it should at the live setting. Clay kneaded a hundred times
     loses some 5 % of the volume inside its surface. Bonds act between neighbours only, so Poisson's
     ratio is that of a central-force network and the pressure keeps the volume. Contact is a stiff
-    penalty: under a fingertip particles enter a collider by a twentieth of the spacing. Colliders
-    push clay but do not yield to it. What lies between awake clay and a collider and sleeps does
-    not pass on the force of a press. On a GPU the coarse matrix is inverted on the host, and no GPU
-    has run it.
+    penalty: under a fingertip particles enter a collider by a twentieth of the spacing, and a soft
+    hand that is hit fast by up to their radius. Planes and meshes push clay but do not yield to it;
+    hands do, some milliseconds late, and pass through planes, meshes, each other and themselves.
+    What lies between awake clay and a collider and sleeps does not pass on the force of a press. On
+    a GPU the coarse matrix is inverted on the host, and no GPU has run it.
 
     Args:
         scene: What is in it; clay and colliders added later are not seen.
@@ -72,7 +77,7 @@ class Solver:
         device: Warp device, such as "cpu" or "cuda:0".
 
     Raises:
-        ValueError: The device does not exist.
+        ValueError: The device does not exist, or the clay model does not know hands.
     """
 
     def __init__(self, scene: Scene, settings: Settings | None = None, device: str = "cpu") -> None:
@@ -83,6 +88,11 @@ class Solver:
         except (RuntimeError, ValueError) as error:
             known = ", ".join(str(d) for d in wp.get_devices())
             raise ValueError(f"There is no device {device!r}. There are: {known}.") from error
+        if scene.hands and self.settings.model == "paper":
+            raise ValueError(
+                'The clay model "paper" does not know hands: use "plastic_bonds", or add the '
+                "hand's skin as a mesh."
+            )
         self.time = 0.0
         self._substeps = 0
         self._duration = BASE_STEP
@@ -113,7 +123,7 @@ class Solver:
         substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
         motion = 0.0
         if self._contacts.meshes:
-            substeps, motion = self._plan_colliders(shortest, substeps)
+            substeps, motion = self._plan_colliders(shortest, substeps, duration)
         else:
             self._wake([])
         self._limit_speed(speed, motion / duration, duration)
@@ -125,6 +135,10 @@ class Solver:
                 self._run_substep(time_step, substep, substeps)
             self._regions.measure(duration)
             self._doze(duration)
+        elif self._hands:
+            self._rest_on_hands(duration)
+        for hand in self._hands:
+            hand.end_step()
         self.time += duration
         self._duration = duration
         self._substeps = substeps
@@ -171,7 +185,18 @@ class Solver:
         self._speed_before = kept
         self._particles.speed_limit.fill_(max(SPEED_MARGIN * kept, thrown) + fall)
 
-    def _plan_colliders(self, shortest: int, substeps: int) -> tuple[int, float]:
+    @property
+    def _hands(self) -> list[SoftHand]:
+        meshes = self._contacts.meshes
+        return meshes.hands if meshes else []
+
+    def _rest_on_hands(self, duration: float) -> None:
+        """Move hands that no clay is awake to see, and let clay weigh on them."""
+        for hand in self._hands:
+            hand.begin_substep(0, 1, duration)
+            hand.gather(self._contacts.slots, duration)
+
+    def _plan_colliders(self, shortest: int, substeps: int, duration: float) -> tuple[int, float]:
         """Substeps such that no collider near the clay moves far into it in one.
 
         Returns:
@@ -190,27 +215,32 @@ class Solver:
         swept = []
         for which, motion in enumerate(motions):
             if near[which] and not teleported[which]:
-                if motion > stride * substeps:
+                if which < len(self.scene.meshes) and motion > stride * substeps:
                     approach = meshes.approach(which, np.stack([low, high]))
                     motion = max(approach, motion * COLLIDER_STRIDE / COLLIDER_SLIDE)
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
         self._teleported += sum(teleported)
-        meshes.begin_step(substeps, motions, teleported)
+        meshes.begin_step(duration, substeps, motions, boxes, teleported, near)
         carried = zip(motions, teleported, near, strict=True)
         return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
         if self._contacts.meshes:
-            self._contacts.meshes.begin_substep(substep, substeps)
+            self._contacts.meshes.begin_substep(substep, substeps, time_step)
         common = ContactPass()
         common.time_step = time_step
         common.time_step_before = self._time_step_before
         common.radius = 0.5 * self.scene.spacing
         common.margin = MARGIN * self.scene.spacing
+        common.yielding = wp.vec2(yielded_part(time_step), held_part(time_step))
         self._model.run_substep(common)
-        self._time_step_before = time_step
+        for hand in self._hands:
+            hand.gather(self._contacts.slots, time_step)
+            if substep == substeps - 1:
+                hand.learn_compliance(self._contacts.slots)
+        self._time_step_before = self._contacts.time_step = time_step
 
     def positions(self) -> NDArray[np.float32]:
         """Particle positions [m], shape [N, 3], in the order added."""
@@ -224,16 +254,34 @@ class Solver:
         """Particle colours, linear RGBA in 0..1, shape [N, 4], in the order added."""
         return self._colors.copy()
 
-    def force_on(self, collider: Plane | MeshCollider) -> NDArray[np.float64]:
-        """Force of the clay on a plane or mesh [N], shape [3], mean over the last step.
+    def force_on(self, collider: Plane | MeshCollider | Hand) -> NDArray[np.float64]:
+        """Force of the clay on a plane, mesh or hand [N], shape [3], mean over the last step.
 
         Raises:
             ValueError: The collider is not part of this solver's scene.
         """
+        for hand in self._hands:
+            if hand.hand is collider:
+                return hand.force(self._duration)
         for which, known in enumerate(self._contacts.colliders):
             if known is collider:
                 return self._contacts.force_on(which, self._duration)
         raise ValueError("That collider is not in the scene this solver was built from.")
+
+    def contacts(self, hand: Hand) -> HandContacts:
+        """What the ghosts on a hand's skin feel, mean over the last step.
+
+        Their forces add up to `force_on` the hand, and that to what the clay felt of it, turned
+        round. While a hand arrives that jumped or was lost, clay inside it is moved out gently, and
+        that counts as no force.
+
+        Raises:
+            ValueError: The hand is not part of this solver's scene.
+        """
+        for known in self._hands:
+            if known.hand is hand:
+                return known.contacts(self._duration)
+        raise ValueError("That hand is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:
         """Figures of the last step and counts since the beginning."""
@@ -262,6 +310,13 @@ class Solver:
         passes = self._model.passes()
         if self.scene.meshes:
             passes.append(f"contact with {len(self.scene.meshes)} meshes")
+        for hand in self.scene.hands:
+            passes.insert(
+                0,
+                f"soft hand of {len(hand.rig.nodes)} nodes, {len(hand.rig.tetrahedra)} tetrahedra",
+            )
+        if self.scene.hands:
+            passes.append(f"contact with {len(self.scene.hands)} hands, forces on their ghosts")
         if self.scene.planes:
             passes.append(f"contact with {len(self.scene.planes)} planes")
         passes.append("motion")
@@ -311,6 +366,7 @@ class Solver:
         self.time = float(snapshot["time"])
         self._speed_before = float(snapshot["speed_before"])
         self._time_step_before = float(snapshot["time_step_before"])
+        self._contacts.time_step = self._time_step_before
         self._teleported = int(snapshot["teleported"])
         self._particles.restore(snapshot)
         self._regions.restore(snapshot)

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a soft hand costs a frame, against its number of tetrahedra."""
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any
+
+import numpy as np
+
+from tactile_clay.solver import Material, Scene, Solver
+from tactile_clay.solver.hand_rig import HandRig
+from tactile_clay.solver.soft_hand import SoftHand
+
+from .hand_shapes import posed, slab
+from .shapes import at, block
+
+EDGES = (0.016, 0.0125, 0.0095, 0.0075)
+"""Cells of the lattices that the table compares [m]."""
+LIVE_FRAME = 1e3 / 60
+"""[ms]"""
+_PARTS = ("plan", "begin_step", "begin_substep", "gather", "learn_compliance", "end_step")
+
+
+@dataclass(frozen=True)
+class HandCost:
+    """What a hand takes of a frame in which it presses clay."""
+
+    nodes: int
+    tetrahedra: int
+    vertices: int
+    """Of the skin."""
+    contacts: int
+    """Particles that push."""
+    hand: float
+    """Processor time of the hand [ms], median of frames."""
+    frame: float
+    """Of the whole frame [ms]."""
+
+    @property
+    def share(self) -> float:
+        """Part of a live frame that the hand takes."""
+        return self.hand / LIVE_FRAME
+
+
+class _Meter:
+    """Sums up the processor time spent in some methods."""
+
+    def __init__(self, soft: SoftHand) -> None:
+        self.spent = 0.0
+        for name in _PARTS:
+            setattr(soft, name, self._timed(getattr(soft, name)))
+
+    def _timed(self, method: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(method)
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            begin = time.thread_time()
+            try:
+                return method(*args, **kwargs)
+            finally:
+                self.spent += time.thread_time() - begin
+
+        return timed
+
+
+def measure_cost(
+    rig: HandRig,
+    pose: np.ndarray,
+    *,
+    travel: float = 0.006,
+    frames: int = 40,
+    hold_stiffness: float | None = None,
+) -> HandCost:
+    """Press a hand down onto a slab of clay of 100 x 100 x 40 mm, whose top is at z = 0.04 m.
+
+    Args:
+        rig: The hand.
+        pose: Where it is in the beginning, from its rest pose, shape [4, 4]; just above the clay.
+        travel: How far it goes down [m].
+        frames: In how many frames; the last half counts.
+        hold_stiffness: Of its joints [N/m].
+    """
+    scene = Scene(0.005)
+    scene.add_clay(block((20, 20, 8), 0.005), Material())
+    scene.add_plane()
+    hand = scene.add_hand(rig, hold_stiffness=hold_stiffness)
+    hand.set_bones(posed(rig, pose))
+    solver = Solver(scene)
+    (soft,) = solver._hands
+    meter = _Meter(soft)
+    hands, whole = [], []
+    for frame in range(frames):
+        hand.set_bones(posed(rig, at(0, 0, -travel * (frame + 1) / frames) @ pose))
+        spent, begin = meter.spent, time.perf_counter()
+        solver.step(1 / 60)
+        hands.append(1e3 * (meter.spent - spent))
+        whole.append(1e3 * (time.perf_counter() - begin))
+    return HandCost(
+        nodes=len(rig.nodes),
+        tetrahedra=len(rig.tetrahedra),
+        vertices=len(rig.vertices),
+        contacts=int(soft.forces.touched.numpy()[0]),
+        hand=statistics.median(hands[frames // 2 :]),
+        frame=statistics.median(whole[frames // 2 :]),
+    )
+
+
+def cost_table(edges: tuple[float, ...] = EDGES) -> list[HandCost]:
+    """Measure palms of finer and finer lattices, which face down."""
+    face_down = np.diag([1.0, -1.0, -1.0, 1.0])
+    return [
+        measure_cost(slab(edge, size=(0.09, 0.1, 0.03)), at(0, 0, 0.041) @ face_down)
+        for edge in edges
+    ]
+
+
+def main() -> None:
+    """Print the table."""
+    print("nodes  tetrahedra  skin  contacts  hand [ms]  of a live frame  whole frame [ms]")
+    for cost in cost_table():
+        print(
+            f"{cost.nodes:5d}  {cost.tetrahedra:10d}  {cost.vertices:4d}  {cost.contacts:8d}"
+            f"  {cost.hand:9.2f}  {cost.share:15.0%}  {cost.frame:16.1f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A soft fingertip pressed flat and into clay: force against stiffness, substeps and resolution."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from tactile_clay.solver import Material, Scene, Settings, Solver
+from tactile_clay.solver.hand_rig import HandRig
+from tactile_clay.solver.soft_hand_flesh import Flesh
+from tactile_clay.solver.soft_hand_rest import rest_of
+
+from .hand_shapes import finger, posed
+from .shapes import at, block
+
+YOUNG_MODULUS = 5e4
+_PENALTY = 1.2e8
+"""How stiffly the plate pushes ghosts out [Pa/m]: they enter it by a tenth of a millimetre."""
+
+
+def press_flat(
+    depth: float,
+    *,
+    edge: float = 0.008,
+    young_modulus: float = YOUNG_MODULUS,
+    iterations: int = 60,
+    rounds: int = 160,
+) -> float:
+    """Press a fingertip of 8 mm radius onto a rigid plate without friction.
+
+    Ghosts in the plate are pushed out by a penalty, and flesh and penalty solved for in turns
+    until they agree: no clay and no time step have a part in it.
+
+    Args:
+        depth: How far the bone goes beyond first touch [m].
+        edge: Of the lattice's cells [m].
+        young_modulus: Of the flesh [Pa].
+        iterations: Of conjugate gradients in a solve.
+        rounds: Solves.
+
+    Returns:
+        The force [N].
+    """
+    rig = finger(edge)
+    flesh = Flesh(
+        rig,
+        rest_of(rig),
+        young_modulus=young_modulus,
+        poisson_ratio=0.45,
+        iterations=iterations,
+        device=wp.get_device("cpu"),
+    )
+    corners = rig.tetrahedra[rig.ghost_tetrahedron]
+    pressure = np.zeros(len(corners))
+    load = wp.zeros(flesh.count, dtype=wp.vec3, device="cpu")
+    stiffness = _PENALTY * young_modulus / YOUNG_MODULUS
+    for _ in range(rounds):
+        height = rig.carried_ghosts(flesh.data.position.numpy())[:, 2]
+        pressure += 0.04 * (stiffness * np.maximum(depth - height, 0.0) - pressure)
+        push = (pressure * rig.ghost_areas)[:, None] * rig.ghost_weights
+        force = np.zeros((flesh.count, 3))
+        np.add.at(force[:, 2], corners.ravel(), push.ravel())
+        load.assign(force.astype(np.float32))
+        flesh.stretch()
+        flesh.stiffen()
+        flesh.relax(load, 0.5)
+    return float((pressure * rig.ghost_areas).sum())
+
+
+@dataclass(frozen=True)
+class FingerPress:
+    """What a finger pressed into clay felt."""
+
+    force_moving: float
+    """Mean over the last fifth of the way [N]."""
+    force_held: float
+    """A third of a second later [N]."""
+    tip_depth: float
+    """How far the skin went into the clay [m]."""
+    unsteadiness: float
+    """Standard deviation of the force in the last eight frames of that, over the force."""
+
+
+def press_clay(
+    depth: float = 0.012,
+    *,
+    rig: HandRig | None = None,
+    young_modulus: float = YOUNG_MODULUS,
+    hold_stiffness: float | None = None,
+    speed: float = 0.05,
+    spacing: float = 0.005,
+    material: Material | None = None,
+    settings: Settings | None = None,
+) -> FingerPress:
+    """Press a finger into a block of 50 x 50 x 40 mm and hold it there.
+
+    Args:
+        depth: How far the bone goes beyond first touch [m].
+        rig: The finger, its tip at the origin.
+        young_modulus: Of its flesh [Pa].
+        hold_stiffness: Of its joints [N/m].
+        speed: [m/s]
+        spacing: Of the clay's particles [m].
+        material: Of the clay.
+        settings: How finely to work.
+    """
+    rig = rig or finger(0.008)
+    across, high = round(0.05 / spacing), round(0.04 / spacing)
+    top = high * spacing
+    scene = Scene(spacing)
+    scene.add_clay(block((across, across, high), spacing), material or Material())
+    scene.add_plane()
+    hand = scene.add_hand(rig, young_modulus=young_modulus, hold_stiffness=hold_stiffness)
+    hand.set_bones(posed(rig, at(0, 0, top + 0.001)))
+    solver = Solver(scene, settings)
+    height = top + 0.001
+    forces: list[float] = []
+    moving = 0
+    while len(forces) < moving + 20:
+        if height > top - depth:
+            height = max(height - speed / 60, top - depth)
+            moving += 1
+        hand.set_bones(posed(rig, at(0, 0, height)))
+        solver.step(1 / 60)
+        forces.append(float(solver.force_on(hand)[2]))
+    (soft,) = solver._hands
+    tip = rig.carried_vertices(soft.flesh.data.position.numpy())[:, 2].min()
+    late = np.array(forces[-8:])
+    last = max(moving // 5, 1)
+    return FingerPress(
+        force_moving=float(np.mean(forces[moving - last : moving])),
+        force_held=float(late.mean()),
+        tip_depth=float(top - tip),
+        unsteadiness=float(late.std() / late.mean()),
+    )

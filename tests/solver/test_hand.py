@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A hand as the scene sees it: what moves it, and what it refuses."""
+
+import numpy as np
+import pytest
+
+from tactile_clay.solver import Hand, HandRig, Scene
+from tactile_clay.tests.experiments.hand_shapes import finger
+from tactile_clay.tests.experiments.shapes import at
+
+
+@pytest.fixture(scope="module")
+def rig() -> HandRig:
+    """A finger of two bones."""
+    return finger(0.01)
+
+
+@pytest.fixture
+def hand(rig: HandRig) -> Hand:
+    """The finger in a scene."""
+    return Scene().add_hand(rig)
+
+
+def test_bones_that_are_not_named_stay(hand: Hand):
+    """Move only the bones that are given."""
+    before = hand.bones.copy()
+    hand.set_bones({"bone_1": at(0.1, 0.2, 0.3)})
+    np.testing.assert_array_equal(hand.bones[1], at(0.1, 0.2, 0.3))
+    np.testing.assert_array_equal(hand.bones[[0, 2]], before[[0, 2]])
+    hand.set_bones({})
+    np.testing.assert_array_equal(hand.bones[1], at(0.1, 0.2, 0.3))
+
+
+def _with(row: int, column: int, value: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[row, column] = value
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("name", "pose", "message"),
+    [
+        ("thumb", np.eye(4), "no bone 'thumb'.*bone_0, bone_1"),
+        ("bone_1", np.eye(3), "4x4"),
+        ("bone_1", _with(0, 3, np.nan), "not finite"),
+        ("bone_1", _with(2, 2, np.inf), "not finite"),
+        ("bone_1", _with(0, 3, 1e9), "farther"),
+        ("bone_1", _with(3, 0, 1.0), "0 0 0 1"),
+        ("bone_1", _with(0, 0, -1.0), "mirrored"),
+        ("bone_1", _with(0, 0, 0.0), "mirrored.*or flat"),
+        ("bone_1", np.diag([9.0, 9.0, 9.0, 1.0]), "stretches"),
+    ],
+)
+def test_bad_bones_are_refused_and_the_last_good_pose_stays(
+    hand: Hand, name: str, pose: np.ndarray, message: str
+):
+    """Say what is wrong with a bone, and keep all bones where they were."""
+    hand.set_bones({"bone_0": at(0.0, 0.0, 0.1)})
+    before = hand.bones.copy()
+    with pytest.raises(ValueError, match=message):
+        hand.set_bones({"bone_0": at(1.0, 0.0, 0.0), name: pose})
+    np.testing.assert_array_equal(hand.bones, before)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("friction", -1.0),
+        ("young_modulus", 0.0),
+        ("young_modulus", np.nan),
+        ("poisson_ratio", 0.5),
+        ("poisson_ratio", -0.1),
+        ("hold_stiffness", 0.0),
+        ("hold_stiffness", np.inf),
+    ],
+)
+def test_bad_options_are_refused(rig: HandRig, option: str, value: float):
+    """Name the value that makes no sense."""
+    scene = Scene()
+    with pytest.raises(ValueError, match=r"friction|modulus|ratio|stiffness"):
+        scene.add_hand(rig, **{option: value})
+    assert scene.hands == []
+
+
+def test_a_hand_can_be_lost_and_found(hand: Hand):
+    """Tell whether it is known where the hand is."""
+    assert hand.tracked
+    hand.set_tracked(False)
+    assert not hand.tracked
