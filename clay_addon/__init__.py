@@ -19,6 +19,10 @@ _MODULES = (
     "pack",
     "command_line",
     "panel",
+    "tracking.properties",
+    "tracking.live",
+    "tracking.operators",
+    "tracking.panel",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

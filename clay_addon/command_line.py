@@ -189,7 +189,7 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         demo.add_argument(
             "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
         )
-        add_track(commands, carry_out=_track)
+    add_track(commands, carry_out=_track)
     return parser
 
 
