@@ -22,8 +22,11 @@ _ANCHORS = (WRIST, FINGERS[0][0], *KNUCKLES)
 """Joints of the palm that trackers give."""
 _SHORTEST = 1e-4
 """A bone shorter than this has no direction [m]."""
-_FIRST_BEND, _FULL_BEND = 0.25, 0.6
-"""Sine of the bend from which on, and at which wholly, the plane of bending is believed."""
+_FINGER_BEND, _THUMB_BEND = (0.25, 0.6), (0.6, 1.0)
+"""Sine of the bend from which on, and at which wholly, the plane of bending is believed. A thumb
+bends less and less evenly, and models of it differ in how its hinges lie."""
+_THUMB_COUPLING, _FULL_OPPOSITION = 1.8, np.radians(60.0)
+"""A thumb that swings across the palm turns about itself: the joint at its base is a saddle."""
 
 
 class SkeletonError(ValueError):
@@ -66,15 +69,12 @@ def complete_hand(
         rotation = fitted_rotation(lay, points[anchors])
     else:
         rotation = np.asarray(palm_rotation, np.float64)
-    turned = lay @ rotation.T
-    centred = turned - turned.mean(axis=0)
-    size = float((centred * (points[anchors] - points[anchors].mean(axis=0))).sum())
-    size /= float((centred * centred).sum())
+    size = float(np.sqrt(points[anchors].var(axis=0).sum() / lay.var(axis=0).sum()))
     if not 0.2 < size < 5.0:
         raise SkeletonError("the palm has no size of a hand")
-    origin = points[anchors].mean(axis=0) - size * turned.mean(axis=0)
+    origin = points[anchors].mean(axis=0) - size * rotation @ lay.mean(axis=0)
     points[~known] = origin + size * reference.positions[~known] @ rotation.T
-    rotations = _rotations(points, rotation, reference.rotations)
+    rotations = _rotations(points, rotation, side)
     thickness = size * reference.radii
     if radii is not None:
         given = np.asarray(radii, np.float64)
@@ -82,8 +82,9 @@ def complete_hand(
     return joint_array(points, quaternions_from_matrices(rotations), np.clip(thickness, 0.0, 0.1))
 
 
-def _rotations(points: Array, palm: Array, reference: Array) -> Array:
+def _rotations(points: Array, palm: Array, side: str) -> Array:
     """Orientation of each joint, shape [26, 3, 3]."""
+    reference = reference_hand(side).rotations
     rotations = np.empty((JOINT_COUNT, 3, 3))
     rotations[WRIST] = rotations[PALM] = palm
     for finger in FINGERS:
@@ -93,24 +94,37 @@ def _rotations(points: Array, palm: Array, reference: Array) -> Array:
             raise SkeletonError("two joints of a finger lie on one spot")
         directions = bones / lengths[:, None]
         # How a finger's first bone lies in the palm tells its turn: the thumb's nail looks aside.
+        thumb = len(finger) == 4
         before = palm @ reference[finger[0]]
+        if thumb:
+            before = before @ _opposition(before, directions[0], mirrored=side == "left")
         # Its last two joints are hinges, so that its last three bones bend in one plane.
         bend = np.cross(directions[-3], directions[-2]) + np.cross(directions[-2], directions[-1])
         for joint, direction in zip(finger[:-1], directions, strict=True):
             before = shortest_turn(-before[:, 2], direction) @ before
             if joint in finger[-4:]:
-                before = _turned_into_plane(before, bend)
+                before = _turned_into_plane(before, bend, _THUMB_BEND if thumb else _FINGER_BEND)
             rotations[joint] = before
         rotations[finger[-1]] = before
     return rotations
 
 
-def _turned_into_plane(rotation: Array, normal: Array) -> Array:
+def _opposition(rest: Array, direction: Array, *, mirrored: bool) -> Array:
+    """How far a thumb has turned about itself by swinging across the palm, shape [3, 3]."""
+    _, down, back = rest.T @ direction
+    flexion = float(np.arctan2(-down, -back))
+    roll = float(np.clip(_THUMB_COUPLING * flexion, 0.0, _FULL_OPPOSITION))
+    cosine, sine = np.cos(roll), np.sin(-roll if mirrored else roll)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _turned_into_plane(rotation: Array, normal: Array, bends: tuple[float, float]) -> Array:
     """Turn a bone about itself so that its finger bends about its X axis, as far as it is bent."""
     forward = -rotation[:, 2]
     normal = normal - forward * (forward @ normal)
     bend = float(np.linalg.norm(normal))
-    if bend < _FIRST_BEND:
+    first, full = bends
+    if bend < first:
         return rotation
     # Towards the palm is a turn about -X; a finger bent backwards shows the same plane.
     axis = -normal / bend
@@ -121,7 +135,7 @@ def _turned_into_plane(rotation: Array, normal: Array) -> Array:
     if cosine < 0.5:
         # More than sixty degrees off: noise, or no finger.
         return rotation
-    share = min(1.0, (bend - _FIRST_BEND) / (_FULL_BEND - _FIRST_BEND))
+    share = min(1.0, (bend - first) / (full - first))
     right = across + share * (axis - across)
     right -= forward * (forward @ right)
     right /= np.linalg.norm(right)
