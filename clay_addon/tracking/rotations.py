@@ -85,16 +85,23 @@ def slerp(first: ArrayLike, second: ArrayLike, share: ArrayLike) -> Array:
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
 
+def cross(first: ArrayLike, second: ArrayLike) -> Array:
+    """The cross product of two vectors, shape [3]: numpy's own takes ten times as long for one."""
+    ax, ay, az = np.asarray(first, np.float64).tolist()
+    bx, by, bz = np.asarray(second, np.float64).tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def shortest_turn(start: ArrayLike, end: ArrayLike) -> Array:
     """The rotation matrix of the smallest turn from one unit vector to another, shape [3, 3]."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     cosine = float(start @ end)
     if cosine < -0.999999:
         # Any axis square to the vector does.
-        axis = np.cross(start, np.eye(3)[np.argmin(np.abs(start))])
+        axis = cross(start, np.eye(3)[np.argmin(np.abs(start))])
         axis /= np.linalg.norm(axis)
         return 2.0 * np.outer(axis, axis) - np.eye(3)
-    x, y, z = np.cross(start, end)
+    x, y, z = cross(start, end).tolist()
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + skew + skew @ skew / (1.0 + cosine)
 

@@ -26,12 +26,20 @@ class Sighting(NamedTuple):
     """The hands, at most one of each side."""
     absent: Collection[str] = ()
     """Sides of which it is known that no hand is in view."""
+    time: int | None = None
+    """When they were not [ns]: now by default."""
 
 
-def sighting(frames: Sequence[HandFrame]) -> Sighting:
-    """A sighting of a tracker that tells of both hands at once: what is not there is absent."""
+def sighting(frames: Sequence[HandFrame], time: int | None = None) -> Sighting:
+    """A sighting of a tracker that tells of both hands at once: what is not there is absent.
+
+    Args:
+        frames: The hands.
+        time: When they were seen [ns]. Absence must be dated as the hands are: to the receiver all
+            of a sender's frames are as late as each other.
+    """
     present = {frame.side for frame in frames}
-    return Sighting(frames, [side for side in SIDES if side not in present])
+    return Sighting(frames, [side for side in SIDES if side not in present], time)
 
 
 class Sender:
@@ -57,11 +65,11 @@ class Sender:
             The frames as they were sent.
         """
         self._sequence += 1
-        now = self._clock()
+        moment = self._clock() if seen.time is None else seen.time
         frames = [replace(frame, sequence=self._sequence) for frame in seen.frames]
         frames += [
             HandFrame(
-                side=side, source_time=now, sequence=self._sequence, active=False, confidence=0.0
+                side=side, source_time=moment, sequence=self._sequence, active=False, confidence=0.0
             )
             for side in seen.absent
         ]
@@ -144,7 +152,7 @@ def replay(
             if frame.active:
                 yield Sighting([frame])
             else:
-                yield Sighting([], [frame.side])
+                yield Sighting([], [frame.side], moment)
         if not loop:
             yield Sighting([], SIDES)
             return

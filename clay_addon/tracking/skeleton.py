@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .joints import FINGERS, JOINT_COUNT, KNUCKLES, PALM, WRIST, reference_hand
 from .packet import joint_array
-from .rotations import fitted_rotation, quaternions_from_matrices, shortest_turn
+from .rotations import cross, fitted_rotation, quaternions_from_matrices, shortest_turn
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def _rotations(points: Array, palm: Array, side: str) -> Array:
         if thumb:
             before = before @ _opposition(before, directions[0], mirrored=side == "left")
         # Its last two joints are hinges, so that its last three bones bend in one plane.
-        bend = np.cross(directions[-3], directions[-2]) + np.cross(directions[-2], directions[-1])
+        bend = cross(directions[-3], directions[-2]) + cross(directions[-2], directions[-1])
         for joint, direction in zip(finger[:-1], directions, strict=True):
             before = shortest_turn(-before[:, 2], direction) @ before
             if joint in finger[-4:]:
@@ -140,4 +140,4 @@ def _turned_into_plane(rotation: Array, normal: Array, bends: tuple[float, float
     right -= forward * (forward @ right)
     right /= np.linalg.norm(right)
     back = -forward
-    return np.stack([right, np.cross(back, right), back], axis=1)
+    return np.stack([right, cross(back, right), back], axis=1)

@@ -59,4 +59,4 @@ def hts_stream(
             seen.update((frame.side, now) for frame in frames)
             absent = [side for side in SIDES if now - seen.get(side, now - 2 * _ABSENT) > _ABSENT]
             if frames or absent:
-                yield Sighting(frames, absent)
+                yield Sighting(frames, absent, now)

@@ -83,7 +83,7 @@ def _sighting(message: str | bytes, hands: LeapHands, clock: ClockMap) -> Sighti
     if hands.time is None:
         return None
     moment = clock(hands.time)
-    return sighting([replace(frame, source_time=moment) for frame in frames])
+    return sighting([replace(frame, source_time=moment) for frame in frames], moment)
 
 
 def _library() -> tuple[ModuleType, ModuleType]:

@@ -234,7 +234,7 @@ def _sighting(functions: Any, event: int, clock: Callable[[], int]) -> Sighting:
         with suppress(SkeletonError, ValueError):
             frame = hand_frame(tracking.hands[number], max(0, moment))
             frames.setdefault(frame.side, frame)
-    return sighting(list(frames.values()))
+    return sighting(list(frames.values()), max(0, moment))
 
 
 def hand_frame(hand: LeapHand, moment: int) -> HandFrame:

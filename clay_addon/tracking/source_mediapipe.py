@@ -65,7 +65,7 @@ def mediapipe(
                     left = moment - clock()
                     if paced and left > 0:
                         sleep(left * 1e-9)
-                yield sighting([replace(frame, source_time=moment) for frame in frames])
+                yield sighting([replace(frame, source_time=moment) for frame in frames], moment)
             if worker.wait() != 0:
                 raise TrackingError(f"MediaPipe stopped: {said.text()}")
         finally:

@@ -52,7 +52,7 @@ def openxr(
                     continue
                 moment = clock()
                 frames = [session.hand(side, moment) for side in SIDES]
-                yield sighting([frame for frame in frames if frame is not None])
+                yield sighting([frame for frame in frames if frame is not None], moment)
                 sleep(_STEP_SECONDS)
     except xr.exception.XrException as error:
         raise TrackingError(f"The OpenXR runtime failed ({_said(error)}).") from error
