@@ -7,7 +7,7 @@ import contextlib
 import socket
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TextIO
 
@@ -126,8 +126,8 @@ def replay(
     speed: float = 1.0,
     loop: bool = False,
     clock: Callable[[], int] = time.perf_counter_ns,
-    sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Sighting]:
+    sleep: Callable[[float], object] = time.sleep,
+) -> Generator[Sighting, None, None]:
     """Play a recording.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 
 from .hts_frames import HtsHands
 from .joints import SIDES
@@ -23,7 +23,7 @@ def hts_stream(
     port: int = PORT,
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
-) -> Iterator[Sighting]:
+) -> Generator[Sighting, None, None]:
     """Hands that the app sends, for as long as they are asked for.
 
     Args:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from types import ModuleType
 
@@ -28,9 +28,9 @@ _WAIT_SECONDS = 1.0
 def leap_service(
     address: str = ADDRESS,
     *,
-    sleep: Callable[[float], None] = time.sleep,
+    sleep: Callable[[float], object] = time.sleep,
     tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
-) -> Iterator[Sighting]:
+) -> Generator[Sighting, None, None]:
     """Hands from the service, for as long as they are asked for; waits for it to come and go.
 
     Raises:

@@ -11,7 +11,7 @@ import ctypes
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import suppress
 from ctypes import (
     POINTER,
@@ -127,7 +127,7 @@ def leapc(
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
     tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
-) -> Iterator[Sighting]:
+) -> Generator[Sighting, None, None]:
     """Hands from the Ultraleap tracking service, for as long as they are asked for.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +24,8 @@ def mediapipe(
     *,
     paced: bool = True,
     clock: Callable[[], int] = time.perf_counter_ns,
-    sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Sighting]:
+    sleep: Callable[[float], object] = time.sleep,
+) -> Generator[Sighting, None, None]:
     """Hands that MediaPipe sees.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ctypes
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ def openxr(
     xr: Any = None,
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
-    sleep: Callable[[float], None] = time.sleep,
-) -> Iterator[Sighting]:
+    sleep: Callable[[float], object] = time.sleep,
+) -> Generator[Sighting, None, None]:
     """Hands from the machine's OpenXR runtime, for as long as they are asked for.
 
     Args:

@@ -24,7 +24,10 @@ def receiver() -> Iterator[Receiver]:
         yield receiver
 
 
-@pytest.fixture(params=leap_recordings() or [None], ids=lambda path: path.name if path else "none")
+_RECORDINGS: list[Path | None] = [*leap_recordings()] or [None]
+
+
+@pytest.fixture(params=_RECORDINGS, ids=lambda path: path.name if path else "none")
 def leap_recording(request: pytest.FixtureRequest) -> Any:
     """Each of the real recordings."""
     if request.param is None:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tactile_clay.clay_addon.tracking.joints import JOINT_COUNT, reference_hand
 from tactile_clay.clay_addon.tracking.packet import HandFrame, joint_array
+from tactile_clay.clay_addon.tracking.presence import Hand
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
 from tactile_clay.clay_addon.tracking.rotations import (
     matrices_from_quaternions,
@@ -33,6 +34,12 @@ class Clock:
     def turn(self, milliseconds: float) -> int:
         self.now += round(milliseconds * MILLISECOND)
         return self.now
+
+
+def shown(hand: Hand | None) -> Hand:
+    """A hand that is there."""
+    assert hand is not None
+    return hand
 
 
 def flat_hand(

@@ -107,7 +107,10 @@ def test_interrupted_sender_ends_well_and_keeps_its_recording(
     target = tmp_path / "kept.jsonl"
     arguments = ["track", "recording", str(recording), "--loop", "--record", str(target)]
     arguments += ["--port", str(receiver.address[1])]
-    source = f"import sys; from tactile_clay.clay_addon.command_line import main; sys.exit(main({arguments!r}))"
+    source = (
+        "import sys; from tactile_clay.clay_addon.command_line import main; "
+        f"sys.exit(main({arguments!r}))"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", source], stderr=subprocess.PIPE, text=True
     ) as process:

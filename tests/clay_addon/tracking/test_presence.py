@@ -6,7 +6,7 @@ import pytest
 
 from tactile_clay.clay_addon.tracking.joints import ALL_JOINTS, WRIST
 from tactile_clay.clay_addon.tracking.presence import Presence
-from tactile_clay.tests.clay_addon.tracking.hands import Clock, frame_at
+from tactile_clay.tests.clay_addon.tracking.hands import Clock, frame_at, shown
 
 
 class Person:
@@ -135,5 +135,5 @@ def test_frame_that_was_long_on_its_way_is_not_live(person: Person, clock: Clock
     person.show(500)
     now = clock.turn(1000)
     person.presence.take(frame_at(now, 10_000), now - 300_000_000)
-    hand = person.presence.hand(now)
+    hand = shown(person.presence.hand(now))
     assert (hand.state, hand.contact) == ("lost", 0.0)

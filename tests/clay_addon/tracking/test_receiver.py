@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
 from tactile_clay.clay_addon.tracking.packet import PACKET_SIZE, encode
 from tactile_clay.clay_addon.tracking.receiver import Receiver, TrackingError
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, Clock, frame_at
+from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, Clock, frame_at, shown
 
 
 @pytest.fixture
@@ -121,18 +121,15 @@ def test_stalled_receiver_shows_no_stale_hand(clock: Clock) -> None:
 
         def send(count: int) -> None:
             for _ in range(count):
-                nonlocal number
-                number += 1
-                place = (1e-5 * number, 0.2, 0.0)
+                number = clock.turn(10) // (10 * MILLISECOND)
+                place = (1e-5 * (number % 100), 0.2, 0.0)
                 wire.send(encode(frame_at(clock.now, number, at=place)))
-                clock.turn(10)
 
         def look() -> str:
             for arrival in receiver.drain():
                 tracker.take(arrival.frame, arrival.seen)
-            return tracker.hand("right", clock.now).state
+            return shown(tracker.hand("right", clock.now)).state
 
-        number = 0
         for _ in range(10):
             send(2)
             state = look()

@@ -8,7 +8,7 @@ from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
 from tactile_clay.clay_addon.tracking.joints import WRIST
 from tactile_clay.clay_addon.tracking.recording import Entry
 from tactile_clay.clay_addon.tracking.resample import resampled_hands
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at, shown
 
 STEP = 9 * MILLISECOND
 
@@ -27,7 +27,7 @@ def test_even_motion_stays_even() -> None:
     """Interpolate between frames, so that a steady hand moves steadily at any frame rate."""
     times = [round(number * 1e9 / 24) for number in range(40)]
     hands = resampled_hands(moving(400), times)["right"]
-    steps = np.diff([hand.positions[WRIST, 0] for hand in hands[20:]])
+    steps = np.diff([shown(hand).positions[WRIST, 0] for hand in hands[20:]])
     assert steps == pytest.approx(0.1 / 24, rel=1e-3)
 
 
@@ -39,9 +39,10 @@ def test_hands_are_those_of_live_tracking() -> None:
     hands = resampled_hands(entries, times)
     for entry, hand in zip(entries, hands["right"], strict=True):
         tracker.take(entry.frame, entry.time)
-        shown = tracker.hand("right", entry.time)
-        assert (hand.state, hand.contact) == (shown.state, pytest.approx(shown.contact))
-        assert np.allclose(hand.positions, shown.positions, atol=1e-9)
+        live = shown(tracker.hand("right", entry.time))
+        assert shown(hand).state == live.state
+        assert shown(hand).contact == pytest.approx(live.contact)
+        assert np.allclose(shown(hand).positions, live.positions, atol=1e-9)
     assert hands["left"] == [None] * len(times)
 
 
@@ -50,7 +51,7 @@ def test_nothing_is_invented_in_a_gap() -> None:
     entries = moving(100) + moving(50, start=200)
     end = entries[99].time
     times = [0, end + 150 * MILLISECOND, end + 500 * MILLISECOND]
-    _, held, lost = resampled_hands(entries, times)["right"]
+    _, held, lost = map(shown, resampled_hands(entries, times)["right"])
     assert (held.state, lost.state, lost.contact) == ("held", "lost", 0.0)
     assert np.array_equal(held.positions, lost.positions)
 
@@ -63,5 +64,6 @@ def test_a_jump_is_a_jump() -> None:
         for number, entry in enumerate(moving(50, start=50))
     ]
     times = list(range(0, 99 * STEP, MILLISECOND))
-    x = [hand.positions[WRIST, 0] for hand in resampled_hands(before + after, times)["right"]]
+    hands = resampled_hands(before + after, times)["right"]
+    x = [shown(hand).positions[WRIST, 0] for hand in hands]
     assert all(value < 0.01 or value > 0.49 for value in x)

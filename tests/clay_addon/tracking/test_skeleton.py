@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Joints with orientations from bare positions."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -57,7 +59,7 @@ def test_axes_of_a_posed_hand_are_those_it_was_posed_with(side: str, pose: str) 
     found = complete_hand(without(positions, PALM, *METACARPALS), side)
     rotations = matrices_from_quaternions(found[:, 3:7])
     for finger in FINGERS:
-        for joint, following in zip(finger[:-1], finger[1:], strict=True):
+        for joint, following in pairwise(finger):
             bone = positions[following] - positions[joint]
             bone /= np.linalg.norm(bone)
             # Floats of 32 bits tell a direction to some hundredths of a degree.
