@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 _ANCHORS = (WRIST, FINGERS[0][0], *KNUCKLES)
 """Joints of the palm that trackers give."""
+_FARTHEST, _LARGEST = 90.0, 1.0
+"""No joint is further from the tracker than the first, nor from another than the second [m]."""
 _SHORTEST = 1e-4
 """A bone shorter than this has no direction [m]."""
 _FINGER_BEND, _THUMB_BEND = (0.25, 0.6), (0.6, 1.0)
@@ -61,8 +63,10 @@ def complete_hand(
     needed = [joint for finger in FINGERS for joint in finger[1:]] + [FINGERS[0][0]]
     if not known[needed].all():
         raise SkeletonError("joints of the fingers are missing")
-    if np.abs(points[known]).max() > 1e3:
-        raise SkeletonError("a joint is a kilometre away")
+    if np.abs(points[known]).max() > _FARTHEST:
+        raise SkeletonError("a joint is too far away")
+    if np.ptp(points[known], axis=0).max() > _LARGEST:
+        raise SkeletonError("joints are too far from each other")
     anchors = [joint for joint in _ANCHORS if known[joint]]
     lay = reference.positions[anchors]
     if palm_rotation is None:

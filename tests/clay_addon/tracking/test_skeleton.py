@@ -98,8 +98,9 @@ def test_given_radii_and_palm_are_kept() -> None:
         (lambda points: points.__setitem__(8, np.nan), "missing"),
         (lambda points: points.__setitem__(8, points[7]), "one spot"),
         (lambda points: points.__setitem__(slice(None), 0.0), "no size"),
-        (lambda points: points.__imul__(100.0), "no size"),
-        (lambda points: points.__setitem__(8, 1e9), "kilometre"),
+        (lambda points: points.__imul__(0.1), "no size"),
+        (lambda points: points.__setitem__(8, 1e9), "too far away"),
+        (lambda points: points.__setitem__(8, 1.5), "far from each other"),
         (lambda points: points.__setitem__((*KNUCKLES, WRIST, 2), points[7]), "no size|one spot"),
     ],
 )
