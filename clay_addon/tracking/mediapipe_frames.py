@@ -81,6 +81,8 @@ class MediapipeHands:
         if np.abs(image).max() > 10.0 or np.abs(world).max() > 1.0:
             raise SkeletonError("values that no hand has")
         if self._mirrored:
+            # In a mirrored picture MediaPipe takes each hand for the other.
+            side = SIDES[1 - SIDES.index(side)]
             image = image * [-1.0, 1.0] + [1.0, 0.0]
             world = world * [-1.0, 1.0, 1.0]
         rays = (image - 0.5) * [self._slope, self._slope * aspect]

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,7 +65,10 @@ def mediapipe(
                     start = clock() - hands.time if start is None else start
                     moment = start + hands.time
                     left = moment - clock()
-                    if paced and left > 0:
+                    if left < 0:
+                        # Detection does not keep up, so the video plays more slowly.
+                        start, moment = start - left, moment - left
+                    elif paced:
                         sleep(left * 1e-9)
                 yield sighting([replace(frame, source_time=moment) for frame in frames], moment)
             if worker.wait() != 0:
@@ -75,21 +80,18 @@ def mediapipe(
 class _Tail:
     """Reads what a process says, so that it never waits for a reader, and keeps the end of it."""
 
-    def __init__(self, stream: object) -> None:
-        import threading
-        from collections import deque
-
+    def __init__(self, stream: Iterable[str]) -> None:
         self._lines: deque[str] = deque(maxlen=20)
         self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
         self._thread.start()
 
-    def _read(self, stream: Iterator[str]) -> None:
+    def _read(self, stream: Iterable[str]) -> None:
         for line in stream:
-            # What MediaPipe notes of its own doings is nobody's concern.
-            if not line.startswith(("INFO", "WARNING", "W0", "I0")):
+            # What MediaPipe and OpenCV note of their own doings is nobody's concern.
+            if line.strip() and not line.startswith(("INFO", "WARNING", "W0", "I0", "[")):
                 self._lines.append(line.strip())
 
     def text(self) -> str:
-        """The last lines."""
+        """The last line."""
         self._thread.join(timeout=2.0)
-        return " ".join(self._lines) or "it did not say why."
+        return self._lines[-1] if self._lines else "it did not say why."

@@ -31,6 +31,7 @@ def entry(side: str, hand: np.ndarray, *, mirrored: bool = False, score: float =
     image = points[:, :2] / points[:, 2:] * focal * [1.0, WIDTH / HEIGHT] + 0.5
     world = points - points.mean(axis=0)
     if mirrored:
+        side = {"left": "right", "right": "left"}[side]
         image[:, 0] = 1.0 - image[:, 0]
         world[:, 0] *= -1.0
     return {

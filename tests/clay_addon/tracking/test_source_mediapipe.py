@@ -73,6 +73,21 @@ def test_video_plays_at_its_own_pace(environment: Path, tmp_path: Path, clock: C
     assert "hand_landmarker.task" in asked
 
 
+def test_video_slows_down_where_detection_does_not_keep_up(
+    environment: Path, tmp_path: Path, clock: Clock
+) -> None:
+    """Date each picture when it is ready, so that no hand looks old by the machine's fault."""
+    video = tmp_path / "hands.mp4"
+    video.write_text("")
+    (environment / "lines").write_text(pictures(5, 40))
+    times = []
+    for item in mediapipe([str(video)], environment, MediapipeHands(), clock=clock):
+        assert item.time == clock.now
+        times.append(item.time)
+        clock.turn(70)
+    assert times[-1] - times[0] == 4 * 70 * MILLISECOND
+
+
 def test_camera_is_dated_by_this_machines_clock(environment: Path) -> None:
     """Take the worker's own time for a camera's pictures, and never wait."""
 
@@ -86,7 +101,9 @@ def test_camera_is_dated_by_this_machines_clock(environment: Path) -> None:
 
 def test_failing_worker_is_explained(environment: Path) -> None:
     """Repeat what it said, without MediaPipe's own notes."""
-    (environment / "said").write_text("W0000 chatter\nThe camera 7 cannot be opened.\n")
+    (environment / "said").write_text(
+        "W0000 chatter\n[ WARN:0] noise\nThe camera 7 cannot be opened.\n"
+    )
     (environment / "code").write_text("1")
     with pytest.raises(TrackingError, match=r"stopped: The camera 7 cannot be opened\.$"):
         list(mediapipe(["7"], environment, MediapipeHands()))
