@@ -10,6 +10,8 @@ from .presence import Hand, Presence
 _NEAR = 0.08
 """A hand this close to where the other was [m], and far from where it was itself, is doubtful."""
 _FAR = 0.12
+_MEMORY = 1.0
+"""So long ago a hand may have been elsewhere since [s]."""
 _SAME = 0.03
 """Two wrists cannot be this close [m]: one hand was taken for both."""
 _PATIENCE = 250_000_000
@@ -47,13 +49,14 @@ class HandTracker:
         own = self._hands[frame.side]
         other = self._hands[SIDES[1 - SIDES.index(frame.side)]]
         wrist = frame.positions[WRIST]
-        gone = own.state(seen) == "lost"
+        # A hand that was lost a moment ago may come back where it was, close to the other.
+        strange = own.age(seen) > _MEMORY or own.distance(wrist) > _FAR
         # A swap makes the other hand miss its frames too, so where it was when it was last seen,
         # rather than whether it is seen, tells a swap.
         recent = other.age(seen) * 1e9 < 2 * _PATIENCE
         away = other.distance(wrist)
         since = self._doubtful_since[frame.side]
-        if not (recent and away < _NEAR and (gone or own.distance(wrist) > _FAR)):
+        if not (recent and away < _NEAR and strange):
             self._doubtful_since[frame.side] = None
             return False
         if since is None:

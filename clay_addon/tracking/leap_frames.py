@@ -11,7 +11,7 @@ import gzip
 import json
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -104,7 +104,7 @@ def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
         raise TrackingError(f"{path} has no list of frames; expected a LeapJS Playback recording.")
     hands = LeapHands()
     read = []
-    for message in frames:
+    for message in _unpacked(frames):
         found = hands.read(message)
         time = hands.time
         if time is not None:
@@ -113,6 +113,37 @@ def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
         raise TrackingError(f"{path} holds no hand that can be read, in {len(frames)} frames.")
     read.sort(key=lambda item: item[0])
     return read
+
+
+def _unpacked(frames: list[Any]) -> Iterator[Any]:
+    """The frames of a file, whose later versions keep values without their names.
+
+    There the first frame has the names in place of the values, nested as the values are.
+    """
+    if not frames or not isinstance(frames[0], list):
+        yield from frames
+        return
+    for packed in frames[1:]:
+        try:
+            yield _named(frames[0], packed)
+        except (TypeError, IndexError, ValueError, AttributeError, RecursionError):
+            yield packed
+
+
+def _named(names: Any, values: Any) -> Any:
+    """Values with their names; names in a list of their own are those of every value."""
+    if len(names) == 1 and isinstance(names[0], list):
+        return [_named(names[0], value) for value in values]
+    result = {}
+    for name, value in zip(names, values, strict=False):
+        if isinstance(name, str):
+            # A value that the device did not give is kept as null.
+            if value is not None:
+                result[name] = value
+        else:
+            ((key, inner),) = name.items()
+            result[key] = _named(inner, value)
+    return result
 
 
 def _hand(entry: Mapping[str, Any], pointables: list[Mapping[str, Any]], time: int) -> HandFrame:
@@ -126,7 +157,8 @@ def _hand(entry: Mapping[str, Any], pointables: list[Mapping[str, Any]], time: i
     for pointable in pointables:
         if pointable.get("handId") != entry["id"] or pointable.get("tool"):
             continue
-        kind = pointable["type"]
+        # Some recordings lack the type, which is the last digit of the number.
+        kind = pointable["type"] if "type" in pointable else pointable["id"] % 10
         if kind not in range(5):
             raise SkeletonError("bad finger")
         finger = FINGERS[kind]

@@ -111,6 +111,27 @@ def test_hands_may_come_together_and_cross(scene: Scene) -> None:
     assert scene.tracker.set_aside == 0
 
 
+def test_hand_lost_beside_the_other_comes_back_at_once(scene: Scene) -> None:
+    """Take a hand back where it was lost, though that is where hands clap."""
+    together = {"left": np.array([-0.03, 0.2, 0.0]), "right": np.array([0.03, 0.2, 0.0])}
+
+    def show(frames: int, confidence: float) -> None:
+        for _ in range(frames):
+            scene.number += 1
+            now = scene.clock.turn(9)
+            for side in SIDES:
+                place = together[side] + [0.0, 1e-5 * scene.number, 0.0]
+                sure = confidence if side == "left" else 1.0
+                frame = frame_at(now, scene.number, side, place, confidence=sure)
+                scene.tracker.take(frame, now)
+
+    show(60, 1.0)
+    show(40, 0.1)
+    assert shown(scene.tracker.hand("left", scene.clock.now)).state == "lost"
+    show(1, 1.0)
+    assert shown(scene.tracker.hand("left", scene.clock.now)).state == "live"
+
+
 steps = st.tuples(
     st.integers(0, 300),
     st.sampled_from(SIDES),

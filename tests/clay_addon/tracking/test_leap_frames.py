@@ -199,10 +199,32 @@ def test_file_is_read_packed_or_not_and_put_in_order(tmp_path: Path) -> None:
         assert [time for time, _ in read] == [1_000_000, 2_000_000, 3_000_000]
 
 
+def test_packed_file_is_read(tmp_path: Path) -> None:
+    """Read later files, which keep values without names, and fingers without their type."""
+    hand_keys = ["id", "type", "direction", "palmNormal", "palmPosition", "confidence", "wrist"]
+    joint_keys = ["handId", "id", "mcpPosition", "pipPosition", "dipPosition", "tipPosition"]
+    names = ["timestamp", {"hands": [hand_keys]}, {"pointables": [joint_keys]}, {"box": ["size"]}]
+    frames: list[Any] = [names]
+    for time in (1000, 2000):
+        whole = message(leap_hand("left", 1), leap_hand("right", 2, (0.3, 0.2, 0.0)))
+        for pointable in whole["pointables"]:
+            pointable["id"] = 10 * pointable["handId"] + pointable["type"]
+        hands = [[hand.get(key) for key in hand_keys] for hand in whole["hands"]]
+        fingers = [[pointable[key] for key in joint_keys] for pointable in whole["pointables"]]
+        frames.append([time, hands, fingers, [[1, 2, 3]]])
+    path = tmp_path / "packed.json"
+    path.write_text(json.dumps({"frames": [*frames, [], [3000, 7], "broken"]}))
+    read = read_leap_file(path)
+    assert [(time, len(hands)) for time, hands in read] == [(1_000_000, 2), (2_000_000, 2)]
+    right = next(hand for hand in read[0][1] if hand.side == "right")
+    assert np.allclose(right.positions, flat_hand("right", (0.3, 0.2, 0.0))[:, :3], atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
         (b"", "no JSON"),
+        (b'{"frames": [["timestamp"], [1], [[[]]], {}]}', "no hand"),
         (b"{", "no JSON"),
         (b"[" * 100_000, "no JSON"),
         (b"[]", "no list of frames"),
