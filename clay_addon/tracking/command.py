@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import contextlib
 import math
 import sys
+import threading
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from .packet import PORT
 from .recording import Recorder, read_recording
@@ -54,6 +56,9 @@ def add_command(commands: Any, *, carry_out: Callable[[argparse.Namespace], obje
         )
         source.add_argument(
             "--duration", type=_positive, metavar="SECONDS", help="stop after so long"
+        )
+        source.add_argument(
+            "--attached", action="store_true", help="stop when the standard input ends"
         )
         return source
 
@@ -129,6 +134,8 @@ def track(arguments: argparse.Namespace) -> str:
         set_up(arguments.environment or default_environment(), tell=_tell)
         return ""
     source = arguments.open_source(arguments)
+    if arguments.attached:
+        threading.Thread(target=_wait_for_end, args=(sys.stdin,), daemon=True).start()
     recorder = Recorder(arguments.record) if arguments.record else None
     sender = Sender(arguments.port)
     _tell(f"Sending hands to port {arguments.port} of this machine; Ctrl-C ends it.")
@@ -142,6 +149,14 @@ def track(arguments: argparse.Namespace) -> str:
     if recorder is not None:
         text += f" Recording: {written}." if written else " Nothing was recorded."
     return text
+
+
+def _wait_for_end(stream: TextIO) -> None:
+    """Interrupt the program when a stream ends: its writer is gone, or wants no more."""
+    with contextlib.suppress(OSError, ValueError):
+        while stream.read(1):
+            pass
+    _thread.interrupt_main()
 
 
 def _tell(text: str) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from .presence import Hand, State
 from .receiver import Receiver, TrackingError
 from .recording import Recorder
 from .retarget import HandTarget
+from .sender_process import SenderProcess
 
 STEP_SECONDS = 1.0 / 60.0
 
@@ -51,6 +53,14 @@ class LiveTracking:
         for side, armature in armatures.items():
             self._target(side, armature, scene)
         self.receiver = Receiver(scene.tactile_clay_tracking.port, clock=clock)
+        self.sender: SenderProcess | None = None
+        """The sender that was started beside; None where it was started elsewhere."""
+        try:
+            command = sender_command(scene)
+            self.sender = SenderProcess(command) if command else None
+        except TrackingError:
+            self.receiver.close()
+            raise
 
     @property
     def recorder(self) -> Recorder | None:
@@ -114,6 +124,8 @@ class LiveTracking:
         Raises:
             TrackingError: The recording could not be written to its end.
         """
+        if self.sender is not None:
+            self.sender.stop()
         self.receiver.close()
         self.stop_recording()
 
@@ -143,6 +155,30 @@ def hand_armatures(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
             if item.type == "ARMATURE" and is_hand(item):
                 found.setdefault(side_of(item) or "right", item)
     return {side: item for side, item in found.items() if item.name in scene.objects}
+
+
+def sender_command(scene: bpy.types.Scene) -> list[str]:
+    """The command that starts the sender of a scene's source; empty where it has none.
+
+    Raises:
+        TrackingError: The recording that it is to play is not there.
+    """
+    properties = scene.tactile_clay_tracking
+    if properties.source == "OTHER":
+        return []
+    words = [properties.source.lower(), "--port", str(properties.port), "--attached"]
+    if properties.source == "RECORDING":
+        path = Path(bpy.path.abspath(properties.recording))
+        if not path.is_file():
+            raise TrackingError(f"There is no recording {path}. Choose one under Recording.")
+        words += [str(path), "--loop"]
+    if bpy.app.binary_path:
+        # Blender itself has the Python and the add-on that a sender needs.
+        return [bpy.app.binary_path, "--background", "--command", "clay", "track", *words]
+    # The bpy module has no program of its own, but a Python with this package installed.
+    package = __name__.partition(".clay_addon.")[0]
+    entry = f"from {package}.clay_addon.command_line import run; run()"
+    return [sys.executable, "-c", entry, "track", *words]
 
 
 def start(scene: bpy.types.Scene) -> LiveTracking:

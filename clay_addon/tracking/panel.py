@@ -33,6 +33,9 @@ class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
         column.prop(properties, "right")
         column.prop(properties, "origin")
         if session is None:
+            column.prop(properties, "source")
+            if properties.source == "RECORDING":
+                column.prop(properties, "recording")
             column.prop(properties, "port")
             layout.operator("clay.tracking_start", icon="VIEW_PAN")
         else:
@@ -53,13 +56,14 @@ class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
 def _draw_status(layout: bpy.types.UILayout, session: live.LiveTracking) -> None:
     box = layout.box()
     receiver = session.receiver
+    sender = session.sender
+    if sender is not None and not sender.runs:
+        draw_text(box, sender.problem or "The sender has ended.", icon="ERROR")
     if not receiver.accepted:
-        draw_text(
-            box,
-            f"Nothing arrives at port {receiver.address[1]} yet. Start a sender in a terminal: "
-            "tactile-clay track leap",
-            icon="INFO",
-        )
+        text = f"Nothing arrives at port {receiver.address[1]} yet."
+        if sender is None:
+            text += " Choose a source, or start a sender in a terminal: tactile-clay track leap"
+        draw_text(box, text, icon="INFO")
     else:
         box.label(text=f"Source: {receiver.source}", icon="LIGHTPROBE_VOLUME")
     for side in SIDES:

@@ -33,6 +33,26 @@ class ClayTrackingProperties(bpy.types.PropertyGroup):
         ),
         type=bpy.types.Object,
     )
+    source: bpy.props.EnumProperty(
+        name="Source",
+        description="What sees the hands; its sender is started beside Blender, and ends with it",
+        items=(
+            ("OTHER", "Started elsewhere", "A sender that was started in a terminal"),
+            ("LEAPC", "Ultraleap", "An Ultraleap device, through Ultraleap's software"),
+            ("LEAP", "Leap (older service)", "A Leap device, through its service's websocket"),
+            ("OPENXR", "OpenXR", "A headset, through the machine's OpenXR runtime"),
+            ("HTS", "Quest", "A Meta Quest with Hand Tracking Streamer, over the network"),
+            ("MEDIAPIPE", "Webcam", "The first camera, through MediaPipe, once that is set up"),
+            ("RECORDING", "Recording", "A recording, played over and over"),
+        ),
+        default="OTHER",
+    )
+    recording: bpy.props.StringProperty(
+        name="Recording",
+        description="The recording to play: of this add-on, or of LeapJS Playback",
+        subtype="FILE_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+    )
     port: bpy.props.IntProperty(
         name="Port",
         description="Port on this machine that senders send to",

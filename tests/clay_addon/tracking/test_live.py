@@ -2,6 +2,7 @@
 """Live tracking in Blender, with datagrams over loopback and a timer that tests turn."""
 
 import socket
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +17,7 @@ from tactile_clay.clay_addon import bake_operators
 from tactile_clay.clay_addon.tracking import live, panel
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.recording import read_recording
+from tactile_clay.clay_addon.tracking.recording import Recorder, read_recording
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
 from tactile_clay.tests.clay_addon.tracking.hands import Clock, frame_at
@@ -195,6 +196,52 @@ def test_error_in_the_timer_lets_go_of_everything(
     with pytest.raises(ZeroDivisionError):
         live._tick()
     assert live.session is None
+
+
+def wait_until(true: Any) -> None:
+    """Let the timer run until something is so."""
+    for _ in range(3000):
+        live._tick()
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("it never came to be so")
+
+
+def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path) -> None:
+    """Play a recording from a process of its own, which ends when tracking does."""
+    recorder = Recorder(tmp_path / "take.jsonl")
+    for number in range(20):
+        at = (0.1 + 1e-4 * number, 0.2, 0.0)
+        recorder.take(frame_at(number, number, at=at), number * 10_000_000)
+    recorder.close()
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", str(tmp_path / "take.jsonl")
+    stage.start()
+    wait_until(lambda: stage.session.receiver.accepted > 40)
+    assert stage.session.sender.runs
+    live.stop()
+    assert not stage.session.sender.runs
+    assert stage.session.sender.problem == ""
+
+
+def test_sender_that_fails_tells_why_in_the_panel(stage: Stage, tmp_path: Path) -> None:
+    """Show the last words of a sender that ended by itself."""
+    (tmp_path / "bad.jsonl").write_text("no recording")
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", str(tmp_path / "bad.jsonl")
+    stage.start()
+    wait_until(lambda: not stage.session.sender.runs)
+    assert "is no JSON" in drawn()
+
+
+def test_recording_that_is_not_there_is_refused(stage: Stage) -> None:
+    """Start nothing, and leave the port free."""
+    bpy.context.scene.tactile_clay_tracking.source = "RECORDING"
+    with pytest.raises(RuntimeError, match="Choose one under Recording"):
+        bpy.ops.clay.tracking_start()
+    bpy.context.scene.tactile_clay_tracking.source = "OTHER"
+    stage.start()
 
 
 class Layout:
