@@ -43,7 +43,8 @@ class LiveTracking:
         self._clock = clock
         self._tracker = HandTracker()
         self._targets: dict[str, tuple[str, HandTarget]] = {}
-        self._shown: dict[str, State] = {}
+        self._hands: dict[str, Hand] = {}
+        self._written: dict[str, State] = {}
         self._recorder: Recorder | None = None
         self.problem = ""
         """What went wrong last, for the panel."""
@@ -68,8 +69,8 @@ class LiveTracking:
         return self._recorder
 
     def hand(self, side: str) -> Hand | None:
-        """A hand now, in the tracker's space [m]; None before one was seen."""
-        return self._tracker.hand(side, self._clock())
+        """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
+        return self._hands.get(side)
 
     def record(self, path: Path) -> None:
         """Begin to record what arrives.
@@ -97,12 +98,14 @@ class LiveTracking:
         for arrival in self.receiver.drain():
             self._tracker.take(arrival.frame, arrival.seen)
             self._record(arrival.frame, arrival.seen)
+        now = self._clock()
+        hands = {side: self._tracker.hand(side, now) for side in SIDES}
+        self._hands = {side: hand for side, hand in hands.items() if hand is not None}
         # A bake and a render read the pose of their own frame.
         if bake_operators.running is not None or bpy.app.is_job_running("RENDER"):
             return True
-        now = self._clock()
         for side, armature in hand_armatures(scene).items():
-            hand = self._tracker.hand(side, now)
+            hand = self._hands.get(side)
             if hand is None:
                 continue
             try:
@@ -110,12 +113,12 @@ class LiveTracking:
             except TrackingError as error:
                 self.problem = str(error)
                 continue
-            if hand.state == "lost" and self._shown.get(side) == "lost":
+            if hand.state == "lost" and self._written.get(side) == "lost":
                 # It stays where it is; posing it again would evaluate the scene for nothing.
                 continue
             matrices = placed(target, hand, scene.tactile_clay_tracking.origin, scene)
             write_pose(armature, matrices, hand.contact)
-            self._shown[side] = hand.state
+            self._written[side] = hand.state
         return True
 
     def stop(self) -> None:

@@ -97,8 +97,13 @@ def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.Monk
     stage.show(100, at=(0.15, 0.3, -0.2))
     after = head_positions(stage.hands["left"])
     assert all(np.array_equal(before[name], after[name]) for name in before)
+    stage.clock.turn(500)
+    live._tick()
+    assert stage.hands["left"][CONTACT_PROPERTY] > 0.0
     monkeypatch.undo()
     live._tick()
+    # The hand that was lost meanwhile lets go now.
+    assert stage.hands["left"][CONTACT_PROPERTY] == 0.0
     assert not np.array_equal(before["wrist"], head_positions(stage.hands["left"])["wrist"])
 
 
@@ -280,7 +285,9 @@ def test_panel_tells_how_the_hands_are_tracked(stage: Stage, tmp_path: Path) -> 
     text = drawn()
     assert "1 datagrams refused: wrong length" in text
     assert "Stop Recording (10 frames)" in text
-    stage.clock.turn(150)
-    assert "Right: held" in drawn()
-    stage.clock.turn(150)
-    assert "Right: lost" in drawn()
+    for state in ("held", "lost"):
+        stage.clock.turn(150)
+        # Drawing tells what the timer saw last, and changes nothing about it.
+        assert f"Right: {state}" not in drawn()
+        live._tick()
+        assert f"Right: {state}" in drawn()
