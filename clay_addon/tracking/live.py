@@ -5,16 +5,20 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
+from numpy.typing import NDArray
 
 from .. import bake_operators
 from .armature import is_hand, placed, read_target, side_of, write_pose
 from .hand_tracker import HandTracker
 from .joints import SIDES
+from .measured_hand import measured_hand
 from .packet import HandFrame
 from .presence import Hand, State
 from .receiver import Receiver, TrackingError
@@ -23,6 +27,8 @@ from .retarget import HandTarget
 from .sender_process import SenderProcess
 
 STEP_SECONDS = 1.0 / 60.0
+_RECENT = 300
+"""So many frames of each hand are kept, to measure it by."""
 
 session: LiveTracking | None = None
 """The tracking that runs; None while there is none."""
@@ -45,6 +51,7 @@ class LiveTracking:
         self._targets: dict[str, tuple[str, HandTarget]] = {}
         self._hands: dict[str, Hand] = {}
         self._written: dict[str, State] = {}
+        self._recent: dict[str, deque[HandFrame]] = {side: deque(maxlen=_RECENT) for side in SIDES}
         self._recorder: Recorder | None = None
         self.problem = ""
         """What went wrong last, for the panel."""
@@ -72,6 +79,17 @@ class LiveTracking:
         """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
         return self._hands.get(side)
 
+    def measured(self, side: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The person's own hand by the last frames of it; see `measured_hand`.
+
+        Returns:
+            Position of each joint of a flat hand [m], shape [26, 3], and radii [m], shape [26].
+
+        Raises:
+            TrackingError: It was hardly seen yet.
+        """
+        return measured_hand(self._recent[side])
+
     def record(self, path: Path) -> None:
         """Begin to record what arrives.
 
@@ -97,6 +115,7 @@ class LiveTracking:
             return False
         for arrival in self.receiver.drain():
             self._tracker.take(arrival.frame, arrival.seen)
+            self._recent[arrival.frame.side].append(arrival.frame)
             self._record(arrival.frame, arrival.seen)
         now = self._clock()
         hands = {side: self._tracker.hand(side, now) for side in SIDES}
