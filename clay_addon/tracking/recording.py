@@ -49,6 +49,7 @@ class Recorder:
         self.count = 0
         """Frames written."""
         self._start: int | None = None
+        self._time = 0
         self._partial = path.with_name(path.name + ".part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -68,9 +69,11 @@ class Recorder:
         if self._file is None:
             return
         self._start = time if self._start is None else self._start
-        # A hand's age, not its arrival, may go back by a little.
+        # When a hand was seen is an estimate, which a better one may set back by a little; the
+        # order of arrival is none.
+        self._time = max(self._time, time - self._start)
         try:
-            self._file.write(_line(frame, max(0, time - self._start)))
+            self._file.write(_line(frame, self._time))
             self.count += 1
             if self.count % _FLUSH_EVERY == 0:
                 self._file.flush()

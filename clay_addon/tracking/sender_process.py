@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 
 from .receiver import TrackingError
 
+NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
+"""Keeps Windows from opening a console for a child process."""
 _PATIENCE_SECONDS = 3.0
 
 
@@ -31,6 +33,7 @@ class SenderProcess:
                 text=True,
                 encoding="utf-8",
                 errors="replace",
+                creationflags=NO_WINDOW,
             )
         except OSError as error:
             raise TrackingError(f"The sender cannot be started ({error}).") from error

@@ -15,6 +15,7 @@ from .mediapipe_frames import MediapipeHands
 from .mediapipe_setup import MODEL, environment_python
 from .receiver import TrackingError
 from .sender import Sighting, sighting
+from .sender_process import NO_WINDOW
 
 _WORKER = Path(__file__).with_name("mediapipe_worker.py")
 
@@ -50,7 +51,12 @@ def mediapipe(
     command = [str(python), str(_WORKER), "--model", str(environment / MODEL), *inputs]
     start = None
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8"
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        creationflags=NO_WINDOW,
     ) as worker:
         assert worker.stdout is not None
         assert worker.stderr is not None

@@ -71,6 +71,21 @@ def test_recording_has_its_name_once_it_is_whole(tmp_path: Path) -> None:
     assert [item.name for item in tmp_path.iterdir()] == ["hands.jsonl"]
 
 
+def test_frames_stay_in_the_order_they_came_in(tmp_path: Path) -> None:
+    """Keep the order of arrival where estimates of when a hand was seen go back."""
+    recorder = Recorder(tmp_path / "hands.jsonl")
+    for number, time in enumerate((100, 130, 120, 140)):
+        recorder.take(frame_at(number, number), time)
+    recorder.close()
+    entries = read_recording(tmp_path / "hands.jsonl")
+    assert [(entry.frame.sequence, entry.time) for entry in entries] == [
+        (0, 0),
+        (1, 30),
+        (2, 30),
+        (3, 40),
+    ]
+
+
 def test_recording_of_nothing_leaves_nothing(tmp_path: Path) -> None:
     """Keep no file where nothing arrived."""
     recorder = Recorder(tmp_path / "hands.jsonl")
