@@ -303,8 +303,8 @@ def _demo(arguments: argparse.Namespace) -> _Outcome:
 
 def _track(arguments: argparse.Namespace) -> _Outcome:
     # A tracker's sender runs without Blender.
+    from .tracking import TrackingError
     from .tracking.command import track
-    from .tracking.receiver import TrackingError
 
     try:
         return EXIT_DONE, track(arguments)

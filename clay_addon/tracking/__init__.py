@@ -8,3 +8,9 @@ is live, held or lost, and retargeting lays its joints on the bones of an armatu
 Only ``armature``, ``keyframes``, ``live``, ``operators``, ``panel`` and ``properties`` know
 Blender; the senders run without it.
 """
+
+__all__ = ["TrackingError"]
+
+
+class TrackingError(Exception):
+    """Tracking cannot go on; the message says why and what to do."""

@@ -8,9 +8,9 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from . import TrackingError
 from .bone_names import joints_of_bones, side_of_bones
 from .presence import Hand
-from .receiver import TrackingError
 from .retarget import HandTarget, RetargetError
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ of the hand (of the nail), X to the right. Positions are of the right-handed, Y-
 
 from __future__ import annotations
 
-import itertools
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +45,7 @@ def _parents() -> tuple[int, ...]:
     parents = [WRIST] * JOINT_COUNT
     parents[WRIST] = -1
     for finger in FINGERS:
-        for joint, following in itertools.pairwise(finger):
+        for joint, following in pairwise(finger):
             parents[following] = joint
     return tuple(parents)
 

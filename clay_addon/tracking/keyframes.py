@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from mathutils import Quaternion, Vector
 
+from . import TrackingError
 from .armature import CONTACT_PROPERTY, local_poses, placed, read_target
 from .joints import SIDES
-from .receiver import TrackingError
 from .recording import Entry
 from .resample import resampled_hands
 

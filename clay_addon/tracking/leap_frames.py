@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import TrackingError
 from .joints import ALL_JOINTS, FINGERS, JOINT_COUNT, PALM, SIDES, WRIST, reference_hand
 from .packet import HandFrame
-from .receiver import TrackingError
 from .skeleton import SkeletonError, complete_hand
 
 _JOINT_KEYS = ("mcpPosition", "pipPosition", "dipPosition", "tipPosition")

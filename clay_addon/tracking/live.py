@@ -15,13 +15,14 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from .. import bake_operators
+from . import TrackingError
 from .armature import is_hand, placed, read_target, side_of, write_pose
 from .hand_tracker import HandTracker
 from .joints import SIDES
 from .measured_hand import measured_hand
 from .packet import HandFrame
 from .presence import Hand, State
-from .receiver import Receiver, TrackingError
+from .receiver import Receiver
 from .recording import Recorder
 from .retarget import HandTarget
 from .sender_process import SenderProcess

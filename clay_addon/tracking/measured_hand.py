@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import TrackingError
 from .joints import ALL_JOINTS, FINGERS, JOINT_COUNT, KNUCKLES, PALM, WRIST, reference_hand
 from .packet import HandFrame
 from .presence import TRUST
-from .receiver import TrackingError
 from .rotations import matrices_from_quaternions
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ def measured_hand(frames: Iterable[HandFrame]) -> tuple[Array, Array]:
         fixed = finger[:2] if len(finger) == 5 else finger[:1]
         for joint in fixed:
             positions[joint] = np.median(seen[:, joint], axis=0)
-        for joint, following in itertools.pairwise(finger):
+        for joint, following in pairwise(finger):
             if following in fixed:
                 continue
             bone = reference.positions[following] - reference.positions[joint]

@@ -17,7 +17,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from .receiver import TrackingError
+from . import TrackingError
 
 RUNTIME = "mediapipe==1.2.2"
 _MODELS = "mediapipe==0.10.21"

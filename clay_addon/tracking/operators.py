@@ -7,9 +7,8 @@ from pathlib import Path
 
 import bpy
 
-from . import live
+from . import TrackingError, live
 from .keyframes import import_recording
-from .receiver import TrackingError
 from .recording import read_recording
 
 

@@ -14,6 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from typing import NamedTuple
 
+from . import TrackingError
 from .frame_order import FrameOrder
 from .joints import SIDES
 from .packet import PACKET_SIZE, PORT, HandFrame, PacketError, decode
@@ -23,10 +24,6 @@ _MOST_AT_ONCE = 1024
 """Datagrams looked at in one call: a flood must not hold Blender up."""
 _BUFFER = 1 << 20
 _RATE_WINDOW = 1_000_000_000
-
-
-class TrackingError(Exception):
-    """Tracking cannot go on; the message says why and what to do."""
 
 
 class Arrival(NamedTuple):

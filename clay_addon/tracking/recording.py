@@ -17,10 +17,10 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
+from . import TrackingError
 from .joints import JOINT_COUNT, SIDES
 from .leap_frames import read_leap_file
 from .packet import HandFrame, PacketError, decode, encode
-from .receiver import TrackingError
 
 FORMAT = "tactile-clay-hands"
 _HEADER = {"format": FORMAT, "version": 1}

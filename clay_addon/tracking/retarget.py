@@ -8,8 +8,8 @@ stretching it. Where the sizes differ, the palms lie on each other.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +31,9 @@ Array = NDArray[np.float64]
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns the trackers' Y-up space to Blender's Z-up one."""
-_LEAST_AGREEMENT = 0.8
-"""Mean cosine between bones and their -Z axes from which on a rig's axes are OpenXR's."""
+_LEAST_AGREEMENT, _LEAST_UPRIGHT = 0.8, 0.5
+"""A rig's axes are OpenXR's from these cosines on: of its bones with their -Z, and of its wrist's Y
+with the back of the hand."""
 
 
 class RetargetError(ValueError):
@@ -148,24 +149,20 @@ class HandTarget:
         for name, joint in self.joints.items():
             linear = self._rest[name][:3, :3]
             axes[joint] = linear / np.linalg.norm(linear, axis=0)
-        if self._agreement(axes) >= _LEAST_AGREEMENT:
-            return axes
-        return self._derived_axes()
+        return axes if self._are_openxr(axes) else self._derived_axes()
 
-    def _agreement(self, axes: Mapping[int, Array]) -> float:
-        """Mean cosine between each finger bone and its -Z axis; the thumb's base is loose."""
+    def _are_openxr(self, axes: Mapping[int, Array]) -> bool:
+        """Whether -Z runs along the finger bones, and Y out of the back of the hand."""
         cosines = []
         for finger in FINGERS:
-            for joint, following in itertools.pairwise(finger):
+            for joint, following in pairwise(finger):
                 if joint in self._heads and following in self._heads:
                     bone = self._heads[following] - self._heads[joint]
-                    length = float(np.linalg.norm(bone))
-                    if length > 1e-6:
-                        cosines.append(float(-axes[joint][:, 2] @ bone) / length)
+                    length = max(float(np.linalg.norm(bone)), 1e-9)
+                    cosines.append(float(-axes[joint][:, 2] @ bone) / length)
         palm = self._palm_axes()
-        if palm is not None:
-            cosines.append(float(axes[WRIST][:, 1] @ palm[:, 1]))
-        return float(np.mean(cosines)) if cosines and min(cosines[-1:]) > 0.5 else -1.0
+        upright = palm is None or float(axes[WRIST][:, 1] @ palm[:, 1]) > _LEAST_UPRIGHT
+        return upright and bool(cosines) and float(np.mean(cosines)) >= _LEAST_AGREEMENT
 
     def _palm_axes(self) -> Array | None:
         """Axes of the palm from how the knuckles lie about the wrist; None without knuckles."""

@@ -7,9 +7,9 @@ import socket
 import time
 from collections.abc import Callable, Generator
 
+from . import TrackingError
 from .hts_frames import HtsHands
 from .joints import SIDES
-from .receiver import TrackingError
 from .sender import Sighting
 
 PORT = 9000

@@ -15,8 +15,8 @@ from collections.abc import Callable, Generator
 from dataclasses import replace
 from types import ModuleType
 
+from . import TrackingError
 from .leap_frames import LeapHands
-from .receiver import TrackingError
 from .sender import ClockMap, Sighting, sighting
 
 ADDRESS = "ws://127.0.0.1:6437/v6.json"

@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import TrackingError
 from .joints import ALL_JOINTS, FINGERS, JOINT_COUNT, PALM, SIDES, WRIST, reference_hand
 from .leap_frames import palm_axes
 from .packet import HandFrame
-from .receiver import TrackingError
 from .sender import Sighting, sighting
 from .skeleton import SkeletonError, complete_hand
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from . import TrackingError
 from .mediapipe_frames import MediapipeHands
 from .mediapipe_setup import MODEL, environment_python
-from .receiver import TrackingError
 from .sender import Sighting, sighting
 from .sender_process import NO_WINDOW
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from . import TrackingError
 from .joints import JOINT_COUNT, SIDES
 from .packet import HandFrame, joint_array
-from .receiver import TrackingError
 from .sender import Sighting, sighting
 
 _STEP_SECONDS = 0.01

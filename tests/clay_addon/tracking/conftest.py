@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tactile_clay.clay_addon.tracking.receiver import Receiver
 from tactile_clay.tests.clay_addon.tracking.hands import Clock, leap_recordings
@@ -23,6 +24,10 @@ def receiver() -> Iterator[Receiver]:
     with Receiver(0) as receiver:
         yield receiver
 
+
+# How long an example takes says nothing on a machine that does other things as well.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
 
 _RECORDINGS: list[Path | None] = [*leap_recordings()] or [None]
 

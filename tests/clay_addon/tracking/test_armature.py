@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.armature import (
     CONTACT_PROPERTY,
     is_hand,
@@ -17,7 +18,6 @@ from tactile_clay.clay_addon.tracking.armature import (
 )
 from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_COUNT, PARENTS
 from tactile_clay.clay_addon.tracking.presence import Hand
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
 from tactile_clay.clay_addon.tracking.skeleton import complete_hand
 from tactile_clay.solver.hand_mesh import JOINT_NAMES, hand_shape

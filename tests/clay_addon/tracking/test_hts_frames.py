@@ -6,13 +6,13 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.hts_frames import HtsHands
 from tactile_clay.clay_addon.tracking.joints import FINGERS, WRIST
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.rotations import angles_between, matrices_from_quaternions
 from tactile_clay.clay_addon.tracking.source_hts import hts_stream
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, flat_hand
@@ -106,7 +106,6 @@ def test_landmarks_do_not_take_an_old_wrist() -> None:
     assert len(hands.read(landmarks, NOW + 10 * MILLISECOND)) == 1
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, len(DOCUMENTED) - 1), st.integers(0, 255)), max_size=10),
     st.integers(0, len(DOCUMENTED)),

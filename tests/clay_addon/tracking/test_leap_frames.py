@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.joints import FINGERS, PARENTS, WRIST, reference_hand
 from tactile_clay.clay_addon.tracking.leap_frames import LeapHands, read_leap_file
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.rotations import angles_between, matrices_from_quaternions
 from tactile_clay.tests.clay_addon.tracking.hands import flat_hand
 
@@ -129,7 +129,7 @@ junk = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.lists(st.tuples(st.sampled_from(spots(MESSAGE)), junk), min_size=1, max_size=4))
 def test_spoilt_messages_do_no_harm(changes) -> None:
     """Give hands that can be sent, or none, whatever stands anywhere in a frame."""

@@ -14,11 +14,10 @@ import pytest
 
 import tactile_clay
 from tactile_clay.clay_addon import bake_operators
-from tactile_clay.clay_addon.tracking import live, panel
+from tactile_clay.clay_addon.tracking import TrackingError, live, panel
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
 from tactile_clay.clay_addon.tracking.joints import reference_hand
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.recording import Recorder, read_recording
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.joints import FINGERS, PALM, PARENTS, reference_hand
 from tactile_clay.clay_addon.tracking.leap_frames import read_leap_file
 from tactile_clay.clay_addon.tracking.measured_hand import measured_hand
 from tactile_clay.clay_addon.tracking.packet import HandFrame
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.tests.clay_addon.tracking.hands import flat_hand
 
 TURN = np.array([0.3, -0.5, 0.2, 0.787])

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_clay.clay_addon.tracking.joints import FINGERS, WRIST
@@ -108,7 +108,6 @@ def test_line_that_is_no_hand_is_counted(bad: str) -> None:
     assert reader.rejected == 1
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.characters(max_codepoint=127)), max_size=8))
 def test_spoilt_lines_do_no_harm(changes) -> None:
     """Give hands that can be sent, or none."""

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
 from tactile_clay.clay_addon.tracking.packet import PACKET_SIZE, encode
-from tactile_clay.clay_addon.tracking.receiver import Receiver, TrackingError
+from tactile_clay.clay_addon.tracking.receiver import Receiver
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, Clock, frame_at, shown
 
 
@@ -95,9 +96,7 @@ mutations = st.lists(
 ).map(dict)
 
 
-@settings(
-    max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
-)
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(mutations, st.integers(0, PACKET_SIZE)), max_size=20))
 def test_mangled_datagrams_never_raise(receiver: Receiver, wire: socket.socket, datagrams) -> None:
     """Give finite hands or nothing, whatever happens to datagrams on their way."""

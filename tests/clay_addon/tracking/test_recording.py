@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.packet import decode, encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.recording import Recorder, read_recording
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
 
@@ -151,9 +151,7 @@ def test_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes, re
         read_recording(tmp_path / "nowhere.jsonl")
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.integers(0, 255)), max_size=20))
 def test_spoilt_bytes_do_no_harm(tmp_path: Path, changes) -> None:
     """Give frames that can be sent, or say why not, whatever bytes a file holds."""

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_clay.clay_addon.tracking.receiver import Receiver, TrackingError
+from tactile_clay.clay_addon.tracking import TrackingError
+from tactile_clay.clay_addon.tracking.receiver import Receiver
 from tactile_clay.clay_addon.tracking.recording import Entry, Recorder, read_recording
 from tactile_clay.clay_addon.tracking.sender import (
     ClockMap,

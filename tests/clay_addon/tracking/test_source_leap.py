@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from websockets.sync.server import ServerConnection, serve
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.joints import WRIST
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.source_leap import leap_service
 from tactile_clay.tests.clay_addon.tracking.test_leap_frames import leap_hand, message
 

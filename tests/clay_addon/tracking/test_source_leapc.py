@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.rotations import angles_between
 from tactile_clay.clay_addon.tracking.source_leapc import (
     LeapHand,

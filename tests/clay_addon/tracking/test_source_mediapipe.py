@@ -10,10 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tactile_clay.clay_addon.tracking import mediapipe_setup
+from tactile_clay.clay_addon.tracking import TrackingError, mediapipe_setup
 from tactile_clay.clay_addon.tracking.mediapipe_frames import MediapipeHands
 from tactile_clay.clay_addon.tracking.mediapipe_setup import environment_python, set_up
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.source_mediapipe import mediapipe
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, Clock
 from tactile_clay.tests.clay_addon.tracking.test_mediapipe_frames import GOOD

@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.joints import ALL_JOINTS
 from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.receiver import TrackingError
 from tactile_clay.clay_addon.tracking.source_openxr import openxr
 from tactile_clay.tests.clay_addon.tracking.hands import flat_hand
 
