@@ -16,6 +16,22 @@ from numpy.typing import NDArray
 
 from ...solver.hand_mesh import JOINT_NAMES, hand_shape
 
+__all__ = [
+    "ALL_JOINTS",
+    "FINGERS",
+    "FROM_ROOT",
+    "JOINT_COUNT",
+    "JOINT_NAMES",
+    "KNUCKLES",
+    "PALM",
+    "PALM_JOINTS",
+    "PARENTS",
+    "SIDES",
+    "WRIST",
+    "ReferenceHand",
+    "reference_hand",
+]
+
 JOINT_COUNT = 26
 PALM = 0
 WRIST = 1

@@ -7,8 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.tracking.joints import FROM_ROOT, PARENTS
-from tactile_clay.solver.hand_mesh import JOINT_NAMES
+from tactile_clay.clay_addon.tracking.joints import FROM_ROOT, JOINT_NAMES, PARENTS
 from tactile_clay.tests.clay_addon.tracking.hands import rig_bones
 
 

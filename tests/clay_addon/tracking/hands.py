@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_clay.clay_addon.tracking.joints import JOINT_COUNT, reference_hand
+from tactile_clay.clay_addon.tracking.joints import JOINT_COUNT, JOINT_NAMES, reference_hand
 from tactile_clay.clay_addon.tracking.packet import HandFrame, joint_array
 from tactile_clay.clay_addon.tracking.presence import Hand
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
@@ -16,7 +16,18 @@ from tactile_clay.clay_addon.tracking.rotations import (
     product,
     quaternions_from_matrices,
 )
-from tactile_clay.solver.hand_mesh import JOINT_NAMES
+from tactile_clay.solver.hand_mesh import POSES, hand_shape
+
+__all__ = [
+    "POSES",
+    "Clock",
+    "flat_hand",
+    "frame_at",
+    "hand_shape",
+    "leap_recordings",
+    "rig_bones",
+    "shown",
+]
 
 MILLISECOND = 1_000_000
 LEAP_RECORDINGS = Path(__file__).resolve().parents[4] / "shared" / "data" / "leap"

@@ -16,12 +16,12 @@ from tactile_clay.clay_addon.tracking.armature import (
     side_of,
     write_pose,
 )
-from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_COUNT, PARENTS
+from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_COUNT, JOINT_NAMES, PARENTS
 from tactile_clay.clay_addon.tracking.presence import Hand
 from tactile_clay.clay_addon.tracking.retarget import Z_UP
 from tactile_clay.clay_addon.tracking.skeleton import complete_hand
-from tactile_clay.solver.hand_mesh import JOINT_NAMES, hand_shape
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
+from tactile_clay.tests.clay_addon.tracking.hands import hand_shape
 
 KINDS = ("openxr", "parentless", "animation")
 

@@ -10,11 +10,10 @@ import pytest
 
 from tactile_clay.clay_addon.tracking import TrackingError
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY, placed, read_target
-from tactile_clay.clay_addon.tracking.joints import FINGERS, PARENTS
+from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_NAMES, PARENTS
 from tactile_clay.clay_addon.tracking.keyframes import import_recording
 from tactile_clay.clay_addon.tracking.recording import Entry, Recorder, read_recording
 from tactile_clay.clay_addon.tracking.resample import resampled_hands
-from tactile_clay.solver.hand_mesh import JOINT_NAMES
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, flat_hand, frame_at, shown
 

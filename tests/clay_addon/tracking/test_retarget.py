@@ -11,6 +11,7 @@ from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
 from tactile_clay.clay_addon.tracking.joints import (
     FINGERS,
     JOINT_COUNT,
+    JOINT_NAMES,
     PARENTS,
     WRIST,
     reference_hand,
@@ -18,7 +19,6 @@ from tactile_clay.clay_addon.tracking.joints import (
 from tactile_clay.clay_addon.tracking.recording import read_recording
 from tactile_clay.clay_addon.tracking.retarget import Z_UP, HandTarget, RetargetError
 from tactile_clay.clay_addon.tracking.rotations import matrices_from_quaternions
-from tactile_clay.solver.hand_mesh import JOINT_NAMES
 from tactile_clay.tests.clay_addon.tracking.hands import flat_hand, rig_bones
 
 TURN = np.array([0.3, -0.5, 0.2, 0.787])

@@ -9,6 +9,7 @@ import pytest
 from tactile_clay.clay_addon.tracking.joints import (
     FINGERS,
     JOINT_COUNT,
+    JOINT_NAMES,
     KNUCKLES,
     PALM,
     WRIST,
@@ -16,8 +17,7 @@ from tactile_clay.clay_addon.tracking.joints import (
 )
 from tactile_clay.clay_addon.tracking.rotations import angles_between, matrices_from_quaternions
 from tactile_clay.clay_addon.tracking.skeleton import SkeletonError, complete_hand
-from tactile_clay.solver.hand_mesh import JOINT_NAMES, POSES, hand_shape
-from tactile_clay.tests.clay_addon.tracking.hands import flat_hand
+from tactile_clay.tests.clay_addon.tracking.hands import POSES, flat_hand, hand_shape
 
 TURN = np.array([0.3, -0.5, 0.2, 0.787])
 TURN = TURN / np.linalg.norm(TURN)
