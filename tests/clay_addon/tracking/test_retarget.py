@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.tracking.bone_names import joints_of_bones, side_of_bones
 from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
 from tactile_clay.clay_addon.tracking.joints import (
     FINGERS,
@@ -166,41 +165,6 @@ def test_real_recordings_keep_the_rigs_lengths(leap_recording: Path) -> None:
         ]
     assert len(apart) > 1000
     assert max(apart) < 0.025
-
-
-@pytest.mark.parametrize(
-    ("name", "joint"),
-    [
-        ("XR_HAND_JOINT_INDEX_PROXIMAL_EXT", 7),
-        ("pinky-finger-metacarpal", 21),
-        ("f_index.01.L", 7),
-        ("f_middle.03.R", 14),
-        ("thumb.01.L", 2),
-        ("DEF-thumb.03.R", 4),
-        ("hand.L", 1),
-        ("mixamorig:LeftHand", 1),
-        ("mixamorig:LeftHandThumb1", 2),
-        ("mixamorig:RightHandPinky3", 24),
-        ("mixamorig:RightHandRing4", 20),
-        ("Wrist", 1),
-        ("palm", 0),
-        ("IndexTip", 10),
-        ("thumb_intermediate", None),
-        ("forearm.L", None),
-        ("spine.003", None),
-        ("index", None),
-    ],
-)
-def test_bones_are_known_by_their_names(name: str, joint: int | None) -> None:
-    """Know OpenXR's, WebXR's, Rigify's and Mixamo's names, and no others."""
-    assert joints_of_bones([name]).get(name) == joint
-
-
-def test_sides_are_known_by_their_names() -> None:
-    """Read the side from how bones are called."""
-    assert side_of_bones(["hand.L", "f_index.01.L"]) == "left"
-    assert side_of_bones(["mixamorig:RightHand"]) == "right"
-    assert side_of_bones(JOINT_NAMES) == ""
 
 
 def test_rig_that_is_no_hand_is_refused() -> None:
