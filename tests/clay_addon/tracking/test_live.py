@@ -138,6 +138,18 @@ def test_persons_hand_is_measured(stage: Stage) -> None:
     assert np.allclose(radii, reference.radii, rtol=1e-4)
 
 
+def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:
+    """Follow the tracker with an armature that has an action, until the frame changes."""
+    item = stage.hands["right"]
+    item.pose.bones["wrist"].keyframe_insert("location", frame=1)
+    item[CONTACT_PROPERTY] = 0.0
+    item.keyframe_insert(f'["{CONTACT_PROPERTY}"]', frame=1)
+    stage.start()
+    stage.show(300)
+    assert np.allclose(head_positions(item)["wrist"], Z_UP @ [0.1, 0.3, -0.2], atol=1e-3)
+    assert item[CONTACT_PROPERTY] == pytest.approx(1.0)
+
+
 def test_recording_needs_a_place(stage: Stage) -> None:
     """Say that a .blend never saved has no folder for recordings."""
     stage.start()

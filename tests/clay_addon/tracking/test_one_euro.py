@@ -10,6 +10,7 @@ from tactile_clay.clay_addon.tracking.one_euro import (
     Smoothing,
     smoothing_share,
 )
+from tactile_clay.clay_addon.tracking.packet import SOURCES
 from tactile_clay.clay_addon.tracking.rotations import angles_between, matrices_from_quaternions
 from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND
 
@@ -26,6 +27,11 @@ def filtered(positions, smoothing, quaternions=None):
         turn = UPRIGHT if quaternions is None else quaternions[number][None]
         results.append(hand_filter(number * STEP, position[None], turn, smoothing))
     return np.array([p[0] for p, _ in results]), np.array([q[0] for _, q in results])
+
+
+def test_every_kind_of_tracker_has_its_strength() -> None:
+    """Know how to filter whatever a datagram may say it is from."""
+    assert set(SMOOTHING) == set(SOURCES)
 
 
 def test_share_is_that_of_a_first_order_low_pass() -> None:
