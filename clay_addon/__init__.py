@@ -27,6 +27,10 @@ _MODULES = (
     "command_line",
     "panel",
     "touch_panel",
+    "tracking.properties",
+    "tracking.live",
+    "tracking.operators",
+    "tracking.panel",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: bake, export and look into .blend files without an interface.
+"""The command line: bake, export and look into .blend files without an interface, track hands.
 
 The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
 ``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
@@ -18,6 +18,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
+
+from .tracking.command import add_command as add_track
 
 if TYPE_CHECKING:
     from .bake import BakeProgress
@@ -196,6 +198,7 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         demo.add_argument(
             "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
         )
+    add_track(commands, carry_out=_track)
     return parser
 
 
@@ -311,6 +314,17 @@ def _demo(arguments: argparse.Namespace) -> _Outcome:
     from . import demo
 
     return demo.main(["--output", str(arguments.output)]), ""
+
+
+def _track(arguments: argparse.Namespace) -> _Outcome:
+    # A tracker's sender runs without Blender.
+    from .tracking import TrackingError
+    from .tracking.command import track
+
+    try:
+        return EXIT_DONE, track(arguments)
+    except TrackingError as error:
+        raise _CommandError(str(error)) from error
 
 
 # What they share -------------------------------------------------------------------------------

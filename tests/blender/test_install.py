@@ -23,9 +23,9 @@ for word, operator in [
 """
 IMPORT_WHEELS = """
 import sys
-import pysplashsurf, trimesh, warp
+import pysplashsurf, trimesh, warp, websockets
 
-for module in (pysplashsurf, trimesh, warp):
+for module in (pysplashsurf, trimesh, warp, websockets):
     print("WHEEL", module.__name__, module.__file__)
 """
 
@@ -60,5 +60,5 @@ def test_wheels_are_the_bundled_ones(blender_with_extension: Any) -> None:
     assert result.exit_code == 0, result.output
     found = [line.split() for line in result.output.splitlines() if line.startswith("WHEEL")]
     profile = blender_with_extension.path_inside(blender_with_extension.profile)
-    assert [name for _, name, _ in found] == ["pysplashsurf", "trimesh", "warp"]
+    assert [name for _, name, _ in found] == ["pysplashsurf", "trimesh", "warp", "websockets"]
     assert all(file.startswith(profile) for _, _, file in found), found

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The section *Tracking* of the Clay tab."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..preferences import draw_text
+from . import live
+from .joints import SIDES
+
+_STATE_ICONS = {"live": "CHECKMARK", "held": "PAUSE", "lost": "X"}
+
+
+class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
+    """Which hands are tracked, and how well."""
+
+    bl_label = "Tracking"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Clay"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        properties = context.scene.tactile_clay_tracking
+        session = live.session
+        column = layout.column()
+        column.prop(properties, "left")
+        column.prop(properties, "right")
+        column.prop(properties, "origin")
+        if session is None:
+            column.prop(properties, "source")
+            if properties.source == "RECORDING":
+                column.prop(properties, "recording")
+            column.prop(properties, "port")
+            layout.operator("clay.tracking_start", icon="VIEW_PAN")
+        else:
+            layout.operator("clay.tracking_stop", icon="CANCEL")
+            _draw_status(layout, session)
+            recorder = session.recorder
+            row = layout.row()
+            row.alert = recorder is not None
+            row.operator(
+                "clay.tracking_record",
+                text="Record" if recorder is None else f"Stop Recording ({recorder.count} frames)",
+                icon="RADIOBUT_OFF" if recorder is None else "RADIOBUT_ON",
+            )
+        layout.prop(properties, "recording_folder")
+        layout.operator("clay.tracking_import", icon="IMPORT")
+
+
+def _draw_status(layout: bpy.types.UILayout, session: live.LiveTracking) -> None:
+    box = layout.box()
+    receiver = session.receiver
+    sender = session.sender
+    if sender is not None and not sender.runs:
+        draw_text(box, sender.problem or "The sender has ended.", icon="ERROR")
+    if not receiver.accepted:
+        text = f"Nothing arrives at port {receiver.address[1]} yet."
+        if sender is None:
+            text += " Choose a source, or start a sender in a terminal: tactile-clay track leap"
+        draw_text(box, text, icon="INFO")
+    else:
+        box.label(text=f"Source: {receiver.source}", icon="LIGHTPROBE_VOLUME")
+    for side in SIDES:
+        for text, icon in status(session, side):
+            box.label(text=text, icon=icon)
+    if receiver.rejected:
+        reason, count = receiver.reasons.most_common(1)[0]
+        draw_text(box, f"{receiver.rejected} datagrams refused: {reason} ({count})", icon="ERROR")
+    if session.problem:
+        draw_text(box, session.problem, icon="ERROR")
+
+
+def status(session: live.LiveTracking, side: str) -> list[tuple[str, str]]:
+    """Lines and icons that tell how a hand is tracked; none before it was seen."""
+    hand = session.hand(side)
+    if hand is None:
+        return []
+    text = f"{side.capitalize()}: {hand.state}"
+    if hand.state == "live":
+        text += f", {session.receiver.rate(side):.0f} frames/s"
+        latency = session.receiver.latency(side)
+        if latency is not None:
+            text += f", {latency * 1e3:.0f} ms"
+        if hand.contact < 1.0:
+            text += f", contact {hand.contact:.0%}"
+    return [(text, _STATE_ICONS[hand.state])]
+
+
+def register() -> None:
+    """Register the panel."""
+    bpy.utils.register_class(CLAY_PT_tracking)
+
+
+def unregister() -> None:
+    """Unregister the panel."""
+    bpy.utils.unregister_class(CLAY_PT_tracking)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Tracked hands on armatures: Blender's bones are where the hand is, in any unit and any rig."""
+
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+from tactile_clay.clay_addon.tracking import TrackingError
+from tactile_clay.clay_addon.tracking.armature import (
+    CONTACT_PROPERTY,
+    is_hand,
+    placed,
+    read_target,
+    side_of,
+    write_pose,
+)
+from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_COUNT, JOINT_NAMES, PARENTS
+from tactile_clay.clay_addon.tracking.presence import Hand
+from tactile_clay.clay_addon.tracking.retarget import Z_UP
+from tactile_clay.clay_addon.tracking.skeleton import complete_hand
+from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
+from tactile_clay.tests.clay_addon.tracking.hands import hand_shape
+
+KINDS = ("openxr", "parentless", "animation")
+
+
+def seen_hand(side: str = "right", pose: str = "pinch") -> Hand:
+    """A hand as tracking shows it: bent, somewhere, with the rig's own measures."""
+    shape = hand_shape(side, pose=pose)
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    positions = np.array([turn @ shape.joints[name] for name in JOINT_NAMES])
+    positions += [0.1, 0.3, -0.2]
+    joints = complete_hand(positions, side).astype(np.float64)
+    return Hand(side, "live", 0.75, joints[:, :3], joints[:, 3:7], np.ones(JOINT_COUNT, np.bool_))
+
+
+def follow(item: Any, hand: Hand, origin: Any = None) -> dict[str, np.ndarray]:
+    """Let an armature follow a hand; where its joints are then."""
+    scene = bpy.context.scene
+    target = read_target(item, hand.side, scene)
+    write_pose(item, placed(target, hand, origin, scene), hand.contact)
+    return head_positions(item)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_bones_are_where_the_joints_are(studio: Any, kind: str, side: str) -> None:
+    """Put every bone at its joint, Z up, in rigs of all kinds."""
+    hand = seen_hand(side)
+    heads = follow(add_hand(side, kind=kind), hand)
+    for number, name in enumerate(JOINT_NAMES):
+        if name != "palm":
+            assert np.allclose(heads[name], Z_UP @ hand.positions[number], atol=1e-4), name
+
+
+def test_armature_may_stand_anywhere(studio: Any) -> None:
+    """Follow the hand with an armature that is moved, turned and evenly scaled."""
+    item = add_hand()
+    item.location, item.rotation_euler, item.scale = (1, 2, 3), (0.3, 0.5, -1.0), (1.2,) * 3
+    bpy.context.view_layer.update()
+    hand = seen_hand()
+    heads = follow(item, hand)
+    # A hand 1.2 times as large: the palms lie on each other.
+    palm = [1, 7, 12, 17, 22]
+    shown = np.mean([heads[JOINT_NAMES[joint]] for joint in palm], axis=0)
+    assert np.allclose(shown, Z_UP @ hand.positions[palm].mean(axis=0), atol=1e-4)
+    bone = heads["index_intermediate"] - heads["index_proximal"]
+    person = hand.positions[8] - hand.positions[7]
+    assert np.linalg.norm(bone) == pytest.approx(1.2 * np.linalg.norm(person), rel=1e-4)
+
+
+def test_units_of_the_scene_are_honoured(studio: Any) -> None:
+    """Follow a hand in metres in a scene in centimetres."""
+    studio.scene.unit_settings.scale_length = 0.01
+    hand = seen_hand()
+    heads = follow(add_hand(unit=0.01), hand)
+    assert np.allclose(heads["ring_tip"], 100.0 * Z_UP @ hand.positions[20], atol=1e-2)
+
+
+def test_tracker_may_stand_anywhere(studio: Any) -> None:
+    """Move and turn the hand with the object that stands where the tracker does."""
+    origin = bpy.data.objects.new("Tracker", None)
+    studio.scene.collection.objects.link(origin)
+    origin.location, origin.rotation_euler, origin.scale = (1, 0, 0), (0, 0, np.pi / 2), (7, 7, 7)
+    bpy.context.view_layer.update()
+    hand = seen_hand()
+    heads = follow(add_hand(), hand, origin)
+    x, y, z = Z_UP @ hand.positions[10]
+    assert np.allclose(heads["index_tip"], [1 - y, x, z], atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_lengths_stay_over_many_poses(studio: Any, kind: str) -> None:
+    """Keep the distance of joints to 1e-6 m while the hand bends and moves."""
+    item = add_hand(kind=kind)
+    seen = []
+    for pose in ("flat", "relaxed", "point", "pinch"):
+        heads = follow(item, seen_hand(pose=pose))
+        seen.append(
+            [
+                np.linalg.norm(heads[JOINT_NAMES[each]] - heads[JOINT_NAMES[PARENTS[each]]])
+                for finger in FINGERS
+                for each in finger[1:]
+            ]
+        )
+    assert np.ptp(seen, axis=0).max() < 1e-6
+
+
+def test_bones_of_the_arm_are_left_alone(studio: Any) -> None:
+    """Pose the hand and nothing else."""
+    item = add_hand(kind="animation")
+    item.pose.bones["forearm"].rotation_mode = "XYZ"
+    item.pose.bones["forearm"].rotation_euler.x = 0.4
+    follow(item, seen_hand())
+    assert item.pose.bones["forearm"].rotation_euler.x == pytest.approx(0.4)
+
+
+def test_contact_is_written_on_the_armature(studio: Any) -> None:
+    """Keep beside the pose how much of the hand touches the clay."""
+    item = add_hand()
+    follow(item, seen_hand())
+    assert item[CONTACT_PROPERTY] == pytest.approx(0.75)
+
+
+def test_hands_are_told_from_other_armatures(studio: Any) -> None:
+    """Know a hand, and its side by name."""
+    assert is_hand(add_hand(name="Hand.L"))
+    assert side_of(bpy.data.objects["Hand.L"]) == "left"
+    assert side_of(add_hand(name="Hand")) == ""
+    bpy.ops.object.armature_add()
+    assert not is_hand(bpy.context.object)
+
+
+def test_armature_that_cannot_follow_is_refused(studio: Any) -> None:
+    """Say what is wrong with an armature that is scaled unevenly or no hand."""
+    item = add_hand()
+    item.scale.x = 2.0
+    bpy.context.view_layer.update()
+    with pytest.raises(TrackingError, match="apply its scale"):
+        read_target(item, "right", studio.scene)
+    bpy.ops.object.armature_add()
+    with pytest.raises(TrackingError, match=r"'Armature' cannot follow a hand: .* no bone for the"):
+        read_target(bpy.context.object, "right", studio.scene)

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Live tracking in Blender, with datagrams over loopback and a timer that tests turn."""
+
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+
+import tactile_clay
+from tactile_clay.clay_addon import bake_operators
+from tactile_clay.clay_addon.tracking import TrackingError, live, panel
+from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
+from tactile_clay.clay_addon.tracking.joints import reference_hand
+from tactile_clay.clay_addon.tracking.packet import encode
+from tactile_clay.clay_addon.tracking.recording import Recorder, read_recording
+from tactile_clay.clay_addon.tracking.retarget import Z_UP
+from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
+from tactile_clay.tests.clay_addon.tracking.hands import Clock, frame_at
+
+
+class Stage:
+    """A scene with two hands that are tracked, and what sends to it."""
+
+    def __init__(self, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.clock = clock
+        self.hands = {side: add_hand(side, name=f"Hand {side}") for side in ("left", "right")}
+        properties = bpy.context.scene.tactile_clay_tracking
+        properties.left, properties.right = self.hands["left"], self.hands["right"]
+        with socket.socket(type=socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            properties.port = free.getsockname()[1]
+        self.wire = socket.socket(type=socket.SOCK_DGRAM)
+        self.wire.connect(("127.0.0.1", properties.port))
+        self.number = 0
+        self.session: Any = None
+        monkeypatch.setattr(live.LiveTracking.__init__, "__kwdefaults__", {"clock": clock})
+
+    def start(self) -> None:
+        """Press Start Tracking."""
+        assert bpy.ops.clay.tracking_start() == {"FINISHED"}
+        self.session = live.session
+
+    def show(self, milliseconds: float, *, at: Any = (0.1, 0.3, -0.2)) -> None:
+        """Show both hands for so long, and let the timer run at each frame."""
+        for _ in range(round(milliseconds / 10)):
+            self.number += 1
+            now = self.clock.turn(10)
+            tremor = 1e-5 * (self.number % 2)
+            for side, sign in (("left", -1.0), ("right", 1.0)):
+                place = np.array(at) * [sign, 1.0, 1.0] + [tremor, 0.0, 0.0]
+                self.wire.send(encode(frame_at(now, self.number, side, place)))
+            live._tick()
+
+
+@pytest.fixture
+def stage(studio: Any, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
+    """A scene ready to be tracked in."""
+    stage = Stage(clock, monkeypatch)
+    yield stage
+    live.stop()
+    stage.wire.close()
+
+
+def test_both_hands_follow(stage: Stage) -> None:
+    """Put both armatures where the hands are, with their contact."""
+    stage.start()
+    stage.show(300)
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        wrist = head_positions(stage.hands[side])["wrist"]
+        assert np.allclose(wrist, Z_UP @ [0.1 * sign, 0.3, -0.2], atol=1e-3)
+        assert stage.hands[side][CONTACT_PROPERTY] == pytest.approx(1.0)
+
+
+def test_lost_hand_stays_and_touches_nothing(stage: Stage) -> None:
+    """Leave a hand where it was seen, and let go of the clay."""
+    stage.start()
+    stage.show(300)
+    before = head_positions(stage.hands["left"])
+    stage.clock.turn(500)
+    live._tick()
+    after = head_positions(stage.hands["left"])
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+    assert stage.hands["left"][CONTACT_PROPERTY] == 0.0
+
+
+def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Move no hand while a bake runs, and go on after it."""
+    stage.start()
+    stage.show(300)
+    before = head_positions(stage.hands["left"])
+    monkeypatch.setattr(bake_operators, "running", object())
+    stage.show(100, at=(0.15, 0.3, -0.2))
+    after = head_positions(stage.hands["left"])
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+    stage.clock.turn(500)
+    live._tick()
+    assert stage.hands["left"][CONTACT_PROPERTY] > 0.0
+    monkeypatch.undo()
+    live._tick()
+    # The hand that was lost meanwhile lets go now.
+    assert stage.hands["left"][CONTACT_PROPERTY] == 0.0
+    assert not np.array_equal(before["wrist"], head_positions(stage.hands["left"])["wrist"])
+
+
+def test_what_arrives_is_recorded(stage: Stage, tmp_path: Path) -> None:
+    """Record every frame that arrived while recording, into a new file each time."""
+    folder = tmp_path / "recordings"
+    bpy.context.scene.tactile_clay_tracking.recording_folder = str(folder)
+    stage.start()
+    stage.show(100)
+    for number in (1, 2):
+        assert bpy.ops.clay.tracking_record() == {"FINISHED"}
+        stage.show(100)
+        assert bpy.ops.clay.tracking_record() == {"FINISHED"}
+        assert len(read_recording(folder / f"hands-00{number}.jsonl")) == 20
+    assert bpy.ops.clay.tracking_record() == {"FINISHED"}
+    stage.show(50)
+    # Stopping ends the recording as well.
+    assert bpy.ops.clay.tracking_stop() == {"FINISHED"}
+    assert len(read_recording(folder / "hands-003.jsonl")) == 10
+
+
+def test_persons_hand_is_measured(stage: Stage) -> None:
+    """Tell how large the hand is that is tracked, once it was seen for a moment."""
+    stage.start()
+    with pytest.raises(TrackingError, match="Hold it flat in view"):
+        stage.session.measured("left")
+    stage.show(200)
+    positions, radii = stage.session.measured("left")
+    reference = reference_hand("left")
+    assert np.allclose(positions[[2, 7, 9]], reference.positions[[2, 7, 9]], atol=1e-5)
+    assert np.allclose(radii, reference.radii, rtol=1e-4)
+
+
+def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:
+    """Follow the tracker with an armature that has an action, until the frame changes."""
+    item = stage.hands["right"]
+    item.pose.bones["wrist"].keyframe_insert("location", frame=1)
+    item[CONTACT_PROPERTY] = 0.0
+    item.keyframe_insert(f'["{CONTACT_PROPERTY}"]', frame=1)
+    stage.start()
+    stage.show(300)
+    assert np.allclose(head_positions(item)["wrist"], Z_UP @ [0.1, 0.3, -0.2], atol=1e-3)
+    assert item[CONTACT_PROPERTY] == pytest.approx(1.0)
+
+
+def test_recording_needs_a_place(stage: Stage) -> None:
+    """Say that a .blend never saved has no folder for recordings."""
+    stage.start()
+    with pytest.raises(RuntimeError, match=r"Save the \.blend first"):
+        bpy.ops.clay.tracking_record()
+
+
+def test_start_without_a_hand_is_refused(studio: Any) -> None:
+    """Say what to choose."""
+    assert "Choose the armature" in studio.refused(bpy.ops.clay.tracking_start)
+    assert live.session is None
+
+
+def test_port_in_use_is_explained(stage: Stage) -> None:
+    """Say that another Blender tracks."""
+    with socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", bpy.context.scene.tactile_clay_tracking.port))
+        with pytest.raises(RuntimeError, match="another Blender is tracking"):
+            bpy.ops.clay.tracking_start()
+
+
+def test_hands_of_the_scene_are_found_by_their_names(studio: Any) -> None:
+    """Follow with the hands that are there where none is chosen."""
+    left, right = add_hand("left", name="Hand.L"), add_hand("right", name="Hand.R")
+    assert live.hand_armatures(studio.scene) == {"left": left, "right": right}
+
+
+def test_starting_twice_and_stopping_twice_is_well(stage: Stage) -> None:
+    """Begin anew on the same port, and end once."""
+    stage.start()
+    stage.start()
+    assert bpy.app.timers.is_registered(live._tick)
+    assert live.stop() == ""
+    assert live.stop() == ""
+    assert not bpy.app.timers.is_registered(live._tick)
+    assert live._tick() is None
+
+
+@pytest.mark.parametrize("how", ["load", "unregister", "scene"])
+def test_tracking_ends_with_what_it_is_about(stage: Stage, how: str) -> None:
+    """Let go of the port and the timer when the file, the add-on or the scene goes."""
+    stage.start()
+    stage.show(50)
+    if how == "load":
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        tactile_clay.register()
+    elif how == "unregister":
+        tactile_clay.unregister()
+    else:
+        bpy.context.scene.name = "Another"
+        live._tick()
+    assert live.session is None
+    assert not bpy.app.timers.is_registered(live._tick)
+    assert stage.session.receiver.drain() == []
+    tactile_clay.register()
+
+
+def test_deleted_armature_is_no_error(stage: Stage) -> None:
+    """Go on with one hand when the other's armature is deleted."""
+    stage.start()
+    stage.show(100)
+    bpy.data.objects.remove(stage.hands["left"])
+    stage.show(100)
+    assert live.session is not None
+    assert stage.hands["right"][CONTACT_PROPERTY] > 0.5
+
+
+def test_error_in_the_timer_lets_go_of_everything(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stop tracking when something unforeseen happens, and let it be seen."""
+    stage.start()
+    monkeypatch.setattr(stage.session.receiver, "drain", lambda: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        live._tick()
+    assert live.session is None
+
+
+def wait_until(true: Any) -> None:
+    """Let the timer run until something is so."""
+    for _ in range(3000):
+        live._tick()
+        if true():
+            return
+        time.sleep(0.01)
+    raise AssertionError("it never came to be so")
+
+
+def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path) -> None:
+    """Play a recording from a process of its own, which ends when tracking does."""
+    recorder = Recorder(tmp_path / "take.jsonl")
+    for number in range(20):
+        at = (0.1 + 1e-4 * number, 0.2, 0.0)
+        recorder.take(frame_at(number, number, at=at), number * 10_000_000)
+    recorder.close()
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", str(tmp_path / "take.jsonl")
+    stage.start()
+    wait_until(lambda: stage.session.receiver.accepted > 40)
+    assert stage.session.sender.runs
+    live.stop()
+    assert not stage.session.sender.runs
+    assert stage.session.sender.problem == ""
+
+
+def test_sender_that_fails_tells_why_in_the_panel(stage: Stage, tmp_path: Path) -> None:
+    """Show the last words of a sender that ended by itself."""
+    (tmp_path / "bad.jsonl").write_text("no recording")
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", str(tmp_path / "bad.jsonl")
+    stage.start()
+    wait_until(lambda: not stage.session.sender.runs)
+    assert "is no JSON" in drawn()
+
+
+def test_recording_that_is_not_there_is_refused(stage: Stage) -> None:
+    """Start nothing, and leave the port free."""
+    bpy.context.scene.tactile_clay_tracking.source = "RECORDING"
+    with pytest.raises(RuntimeError, match="Choose one under Recording"):
+        bpy.ops.clay.tracking_start()
+    bpy.context.scene.tactile_clay_tracking.source = "OTHER"
+    stage.start()
+
+
+class Layout:
+    """Takes down the texts that a panel draws."""
+
+    def __init__(self, texts: list[str]) -> None:
+        self.texts = texts
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("row", "column", "box"):
+            return lambda **_: Layout(self.texts)
+        return lambda *_, text="", **__: self.texts.append(text)
+
+
+def drawn() -> str:
+    """What the panel says."""
+    layout = Layout([])
+    cls: Any = panel.CLAY_PT_tracking
+    cls.draw(SimpleNamespace(layout=layout), bpy.context)
+    return " ".join(layout.texts)
+
+
+def test_panel_tells_how_the_hands_are_tracked(stage: Stage, tmp_path: Path) -> None:
+    """Tell what to do, then source, state, pace and delay, what was refused, and the recording."""
+    bpy.context.scene.tactile_clay_tracking.recording_folder = str(tmp_path)
+    assert "Nothing" not in drawn()
+    stage.start()
+    assert "Nothing arrives" in drawn()
+    stage.show(300)
+    text = drawn()
+    assert "Source: leap" in text
+    assert "Left: live, 30 frames/s" in text
+    stage.wire.send(b"what?")
+    bpy.ops.clay.tracking_record()
+    stage.show(50)
+    text = drawn()
+    assert "1 datagrams refused: wrong length" in text
+    assert "Stop Recording (10 frames)" in text
+    for state in ("held", "lost"):
+        stage.clock.turn(150)
+        # Drawing tells what the timer saw last, and changes nothing about it.
+        assert f"Right: {state}" not in drawn()
+        live._tick()
+        assert f"Right: {state}" in drawn()
