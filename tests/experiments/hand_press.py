@@ -134,3 +134,37 @@ def press_clay(
         tip_depth=float(top - tip),
         unsteadiness=float(late.std() / late.mean()),
     )
+
+
+def main() -> None:
+    """Print forces against stiffness, lattice and substeps."""
+    print("flat press [N], by depth: lattice [mm] or Young's modulus [kPa]")
+    for edge in (0.01, 0.008, 0.006, 0.005, 0.004):
+        forces = "  ".join(
+            f"{press_flat(depth, edge=edge):6.3f}" for depth in (0.001, 0.002, 0.003)
+        )
+        print(f"  {1e3 * edge:5.1f} mm   {forces}")
+    for modulus in (1e4, 2e4, 1e5, 2e5):
+        forces = "  ".join(
+            f"{press_flat(depth, young_modulus=modulus):6.3f}" for depth in (0.001, 0.002, 0.003)
+        )
+        print(f"  {1e-3 * modulus:5.0f} kPa  {forces}")
+    print("12 mm into clay of 5 kPa [N]: moving, held, depth of the skin [mm]")
+    for edge, substeps in ((0.01, 4), (0.008, 4), (0.006, 4), (0.004, 4), (0.008, 2), (0.008, 8)):
+        result = press_clay(rig=finger(edge), settings=Settings(substeps=substeps))
+        print(
+            f"  {1e3 * edge:5.1f} mm, {substeps:2d} substeps   {result.force_moving:6.2f}"
+            f"  {result.force_held:6.2f}  {1e3 * result.tip_depth:5.2f}"
+        )
+    print("6 mm into clay of 20 kPa [N], by Young's modulus [kPa]: moving, depth of the skin [mm]")
+    stiff = Material(yield_stress=2e4, shear_modulus=5e5)
+    for modulus in (1e4, 2e4, 5e4, 1e5, 1e6):
+        result = press_clay(0.006, young_modulus=modulus, material=stiff)
+        print(
+            f"  {1e-3 * modulus:5.0f} kPa  {result.force_moving:6.2f}"
+            f"  {1e3 * result.tip_depth:5.2f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
