@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: the hard cases and the ablation.
+"""Parts of the report that modules of their own bring: hard cases, ablation, soft hands.
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -88,3 +88,15 @@ def run_ablation(folder: Path) -> list[str]:
         ]
         lines.append("")
     return lines
+
+
+def measure_hands() -> list[str]:
+    """Measure what soft hands cost, and how they press.
+
+    Returns:
+        Lines of Markdown, none where there are no hands.
+    """
+    cost, press = companion("hand_cost"), companion("hand_press")
+    if cost is None or press is None:
+        return []
+    return [*cost.cost_lines(), "", *press.press_lines(), ""]
