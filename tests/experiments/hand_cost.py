@@ -116,15 +116,19 @@ def cost_table(edges: tuple[float, ...] = EDGES) -> list[HandCost]:
     ]
 
 
-def main() -> None:
-    """Print the table."""
-    print("nodes  tetrahedra  skin  contacts  hand [ms]  of a live frame  whole frame [ms]")
-    for cost in cost_table():
-        print(
-            f"{cost.nodes:5d}  {cost.tetrahedra:10d}  {cost.vertices:4d}  {cost.contacts:8d}"
-            f"  {cost.hand:9.2f}  {cost.share:15.0%}  {cost.frame:16.1f}"
-        )
+def cost_lines() -> list[str]:
+    """The table in Markdown."""
+    lines = [
+        "| nodes | tetrahedra | skin | contacts | hand, ms a frame | of 1/60 s | whole frame, ms |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {cost.nodes} | {cost.tetrahedra} | {cost.vertices} | {cost.contacts} "
+        f"| {cost.hand:.2f} | {cost.share:.0%} | {cost.frame:.1f} |"
+        for cost in cost_table()
+    ]
+    return lines
 
 
 if __name__ == "__main__":
-    main()
+    print("\n".join(cost_lines()))

@@ -134,3 +134,70 @@ def press_clay(
         tip_depth=float(top - tip),
         unsteadiness=float(late.std() / late.mean()),
     )
+
+
+_FLAT_DEPTHS = (0.001, 0.002, 0.003)
+
+
+def press_lines() -> list[str]:
+    """Forces against stiffness, lattice and substeps, in Markdown."""
+    header = " | ".join(f"{1e3 * depth:.0f} mm" for depth in _FLAT_DEPTHS)
+    lines = [
+        "Flat press of a fingertip, force [N] by depth:",
+        "",
+        f"| | {header} |",
+        "|---|---|---|---|",
+    ]
+
+    def row(name: str, edge: float = 0.008, young_modulus: float = YOUNG_MODULUS) -> str:
+        forces = (
+            press_flat(depth, edge=edge, young_modulus=young_modulus) for depth in _FLAT_DEPTHS
+        )
+        return f"| {name} | {' | '.join(f'{force:.3f}' for force in forces)} |"
+
+    lines += [
+        row(f"lattice of {1e3 * edge:g} mm, 50 kPa", edge=edge)
+        for edge in (0.01, 0.008, 0.006, 0.005, 0.004)
+    ]
+    lines += [
+        row(f"lattice of 8 mm, {1e-3 * modulus:g} kPa", young_modulus=modulus)
+        for modulus in (1e4, 2e4, 1e5, 2e5)
+    ]
+    lines += [
+        "",
+        "Finger pressed into clay, its bone 12 mm (5 kPa) or 6 mm (20 kPa) deep:",
+        "",
+        "| clay | flesh | lattice | substeps | moving, N | held, N | skin, mm deep |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    stiff = Material(yield_stress=2e4, shear_modulus=5e5)
+    cases = [
+        (Material(), 0.012, YOUNG_MODULUS, edge, substeps)
+        for edge, substeps in (
+            (0.01, 4),
+            (0.008, 4),
+            (0.006, 4),
+            (0.004, 4),
+            (0.008, 2),
+            (0.008, 8),
+        )
+    ]
+    cases += [(stiff, 0.006, modulus, 0.008, 4) for modulus in (1e4, 2e4, 5e4, 1e5, 1e6)]
+    for material, depth, modulus, edge, substeps in cases:
+        result = press_clay(
+            depth,
+            rig=finger(edge),
+            young_modulus=modulus,
+            material=material,
+            settings=Settings(substeps=substeps),
+        )
+        lines.append(
+            f"| {1e-3 * material.yield_stress:g} kPa | {1e-3 * modulus:g} kPa | {1e3 * edge:g} mm "
+            f"| {substeps} | {result.force_moving:.2f} | {result.force_held:.2f} "
+            f"| {1e3 * result.tip_depth:.2f} |"
+        )
+    return lines
+
+
+if __name__ == "__main__":
+    print("\n".join(press_lines()))

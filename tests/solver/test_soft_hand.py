@@ -376,3 +376,32 @@ def test_flesh_recovers_from_a_jump_within_half_a_second(rig: HandRig):
     np.testing.assert_allclose(
         skin_of(solver, hand), settled + np.array((0.1, 0.1, 0.11)), atol=5e-4
     )
+
+
+@pytest.mark.parametrize(
+    ("hold_stiffness", "shift", "turn"),
+    [(None, 0.002, 0.1), (300.0, 0.002, 0.1), (300.0, 0.1, 3.0)],
+)
+def test_tracking_that_trembles_or_goes_mad_does_no_harm(
+    rig: HandRig, hold_stiffness: float | None, shift: float, turn: float
+):
+    """Stay finite, keep the clay together and the flesh in one piece, whatever the bones do."""
+    scene, hand = over_a_block(rig, hold_stiffness=hold_stiffness)
+    solver = Solver(scene)
+    random = np.random.default_rng(0)
+    fastest = 0.0
+    for frame in range(30):
+        middle = at(0, 0, 0.031 - 0.001 * min(frame, 12))
+        bones = {}
+        for name, pose in posed(rig, middle).items():
+            shaken = trimesh.transformations.euler_matrix(*random.normal(0, turn, 3))
+            shaken[:3, 3] = random.normal(0, shift, 3)
+            bones[name] = pose @ shaken
+        hand.set_bones(bones)
+        solver.step(FRAME)
+        fastest = max(fastest, solver.diagnostics().max_speed)
+    assert np.isfinite(skin_of(solver, hand)).all()
+    assert np.isfinite(solver.contacts(hand).forces).all()
+    assert fastest < 2.5
+    assert np.abs(solver.positions()).max() < 0.1
+    assert solver.diagnostics().quarantined == 0

@@ -18,7 +18,14 @@ import warp as wp
 from tactile_clay.solver import Material, Settings
 
 from . import plots
-from .companions import HardCaseResult, hard_cases, run_ablation, run_hard_case, run_touch
+from .companions import (
+    HardCaseResult,
+    hard_cases,
+    measure_hands,
+    run_ablation,
+    run_hard_case,
+    run_touch,
+)
 from .page import Report, write_data, write_page
 from .point import Outcome, Point, run_point, run_points, warm_up, workers
 from .registry import EXPERIMENTS
@@ -112,6 +119,8 @@ def main() -> None:
     with workers(2) as pool:
         measure_rest(report, pool, quick=options.quick)
     if not options.quick:
+        say("Measuring soft hands, alone ...")
+        report.hands = measure_hands()
         report.ablation = run_ablation(options.output)
         say("Running touch ...")
         report.touch = run_touch(options.output)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: the hard cases, the ablation and touch.
+"""Parts of the report that modules of their own bring: hard cases, ablation, soft hands, touch.
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -98,3 +98,15 @@ def run_touch(folder: Path) -> list[str]:
     """
     touch = companion("touch_report")
     return list(touch.run_touch(folder)) if touch else []
+
+
+def measure_hands() -> list[str]:
+    """Measure what soft hands cost, and how they press.
+
+    Returns:
+        Lines of Markdown, none where there are no hands.
+    """
+    cost, press = companion("hand_cost"), companion("hand_press")
+    if cost is None or press is None:
+        return []
+    return [*cost.cost_lines(), "", *press.press_lines(), ""]

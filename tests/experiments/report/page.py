@@ -50,6 +50,8 @@ class Report:
     """Margin of the live setting in it."""
     hard_cases: list[HardCaseResult] = field(default_factory=list)
     """What happened in hard cases."""
+    hands: list[str] = field(default_factory=list)
+    """Lines of the part about soft hands."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
     touch: list[str] = field(default_factory=list)
@@ -91,6 +93,8 @@ def write_page(report: Report, folder: Path) -> None:
             "the field), had to be slowed or was not finite.",
             "",
         ]
+    if report.hands:
+        lines += ["## Soft hands", "", *report.hands, ""]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
     if report.touch:
