@@ -28,6 +28,8 @@ COLLIDER_STRIDE = 0.25
 """A collider moves this far along its normals in a substep at most, in spacings: half a radius."""
 COLLIDER_SLIDE = 1.0
 """A collider moves this far along itself in a substep at most, in spacings."""
+FAMILIAR = 1.5
+"""Up to this many times as many substeps as needed are taken where as many were before."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
 MOST_SUBSTEPS = 128
@@ -126,6 +128,8 @@ class Solver:
             substeps, motion = self._plan_colliders(shortest, substeps, duration)
         else:
             self._wake([])
+            if substeps > shortest:
+                substeps = self._familiar(substeps)
         self._limit_speed(speed, motion / duration, duration)
         time_step = duration / substeps
         self._contacts.begin_step()
@@ -221,10 +225,23 @@ class Solver:
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
+        if substeps > shortest:
+            substeps = self._familiar(substeps)
         self._teleported += sum(teleported)
         meshes.begin_step(duration, substeps, motions, boxes, teleported, near)
         carried = zip(motions, teleported, near, strict=True)
         return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
+
+    def _familiar(self, substeps: int) -> int:
+        """A number of substeps of at least ``substeps`` that has been used, if one is near enough.
+
+        Passes are recorded for each length of substep, which costs as much as some frames.
+        """
+        before = self._substeps
+        if substeps <= before <= FAMILIAR * substeps:
+            return before
+        step = max(1, 1 << (substeps.bit_length() - 3))
+        return -(-substeps // step) * step
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:
         if self._contacts.meshes:
@@ -339,6 +356,7 @@ class Solver:
             "time": np.array(self.time),
             "speed_before": np.array(self._speed_before),
             "time_step_before": np.array(self._time_step_before),
+            "substeps": np.array(self._substeps),
             "teleported": np.array(self._teleported),
             **self._particles.snapshot(),
             **self._model.snapshot(),
@@ -367,6 +385,7 @@ class Solver:
         self._speed_before = float(snapshot["speed_before"])
         self._time_step_before = float(snapshot["time_step_before"])
         self._contacts.time_step = self._time_step_before
+        self._substeps = int(snapshot["substeps"])
         self._teleported = int(snapshot["teleported"])
         self._particles.restore(snapshot)
         self._regions.restore(snapshot)
