@@ -17,6 +17,8 @@ from .pairs import Pairs
 from .particles import ByPart, Particles
 
 _GRID_CELLS = 64
+MOST_FOLLOWED = 1000
+"""Particles whose motion as one is looked at, at most about twice as many."""
 
 
 @wp.kernel(enable_backward=False)
@@ -71,13 +73,14 @@ def measure_displacement(
     awake: Awake,
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
+    frame: wp.array[wp.mat44],
     largest: wp.array[float],
 ) -> None:
-    """Find how far any particle has moved since the rows were filled, squared."""
+    """Find how far any particle has moved since the rows were filled, squared, in their frame."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    moved = wp.length_sq(position[i] - listed_position[i])
+    moved = wp.length_sq(position[i] - wp.transform_point(frame[0], listed_position[i]))
     if moved > largest[0]:
         wp.atomic_max(largest, 0, moved)
 
@@ -154,6 +157,8 @@ class Neighbors:
         """Slots that each row would fill."""
         self.largest = wp.zeros((particles.parts, 1), dtype=float, device=device)
         """Largest displacement since the rows were filled, squared, by part [m²]."""
+        self.frame = wp.array(np.eye(4)[None], dtype=wp.mat44, device=device)
+        """Motion of all clay as one since the rows were filled: it changes no distances."""
         self.overflow = 0
         """Neighbours that found no free slot, since the beginning."""
         self.rebuild_count = 0
@@ -182,6 +187,7 @@ class Neighbors:
                 self.particles.launch(mark_one_sided, self.needed, self.pairs.rows)
                 self.particles.launch(drop_marked, self.pairs.rows)
         wp.copy(self.listed_position, position)
+        self.frame.assign(np.eye(4, dtype=np.float32)[None])
         self.largest.zero_()
         self.rebuild_count += 1
 
@@ -221,12 +227,32 @@ class Neighbors:
             neighbors_cpu.measure_displacement,
             self.particles.position,
             self.listed_position,
+            self.frame,
             ByPart.rows(self.largest),
         )
 
+    def _follow(self) -> bool:
+        """Let the frame of displacements go with the clay, and say whether rows are still good.
+
+        Clay that turns on a wheel moves far, and yet none of its distances change.
+        """
+        particles = self.particles
+        if len(particles.awake_index()) < particles.count:
+            return False
+        every = max(1, particles.count // MOST_FOLLOWED)
+        before = self.listed_position.numpy()[::every].astype(np.float64)
+        now = particles.position.numpy()[::every].astype(np.float64)
+        self.frame.assign(rigid_motion(before, now).astype(np.float32)[None])
+        self.largest.zero_()
+        self.measure()
+        return self._within_skin()
+
+    def _within_skin(self) -> bool:
+        return bool(self.largest.numpy().max() <= (0.5 * self.skin) ** 2)
+
     def rebuild_if_moved(self) -> None:
         """Refill the rows where a particle has used up its half of the skin."""
-        if self.largest.numpy().max() > (0.5 * self.skin) ** 2:
+        if not (self._within_skin() or self._follow()):
             self.rebuild()
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -242,6 +268,7 @@ class Neighbors:
             "neighbor_rest_length": rows.rest_length.numpy()[slots],
             "neighbor_position": self.listed_position.numpy().copy(),
             "neighbor_largest": self.largest.numpy().copy(),
+            "neighbor_frame": self.frame.numpy().copy(),
             "neighbor_counts": np.array([self.overflow, self.rebuild_count]),
         }
 
@@ -260,7 +287,24 @@ class Neighbors:
         rows.acting.assign(snapshot["neighbor_acting"])
         self.listed_position.assign(snapshot["neighbor_position"])
         self.largest.assign(snapshot["neighbor_largest"])
+        self.frame.assign(snapshot["neighbor_frame"])
         self.overflow, self.rebuild_count = (int(n) for n in snapshot["neighbor_counts"])
+
+
+def rigid_motion(before: np.ndarray, now: np.ndarray) -> np.ndarray:
+    """The rigid motion that takes points nearest to others (Kabsch 1976), shape [4, 4].
+
+    Args:
+        before: Where the points were [m], shape [N, 3].
+        now: Where they are [m], shape [N, 3].
+    """
+    middle, there = before.mean(0), now.mean(0)
+    left, _, right = np.linalg.svd((before - middle).T @ (now - there))
+    flip = np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right))))
+    motion = np.eye(4)
+    motion[:3, :3] = (left @ flip @ right).T
+    motion[:3, 3] = there - motion[:3, :3] @ middle
+    return motion
 
 
 def _slots(first: np.ndarray, listed: np.ndarray) -> np.ndarray:

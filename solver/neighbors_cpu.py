@@ -164,11 +164,13 @@ def fill_rows(
 
 @wp.func_native(
     over_block(
-        "float most_moved = 0.f;",
+        "float most_moved = 0.f; const float* m = (const float*)frame.data;",
         """
     const float* x = (const float*)position.data + 3 * (long long)i;
     const float* y = (const float*)listed_position.data + 3 * (long long)i;
-    const float a = x[0] - y[0], b = x[1] - y[1], c = x[2] - y[2];
+    const float a = x[0] - (m[0] * y[0] + m[1] * y[1] + m[2] * y[2] + m[3]);
+    const float b = x[1] - (m[4] * y[0] + m[5] * y[1] + m[6] * y[2] + m[7]);
+    const float c = x[2] - (m[8] * y[0] + m[9] * y[1] + m[10] * y[2] + m[11]);
     const float square = a * a + b * b + c * c;
     most_moved = square > most_moved ? square : most_moved;
 """,
@@ -180,6 +182,7 @@ def measure_block(
     awake: Awake,
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
+    frame: wp.array[wp.mat44],
     largest: wp.array[float],
 ) -> None: ...
 
@@ -189,10 +192,11 @@ def measure_displacement(
     awake: Awake,
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
+    frame: wp.array[wp.mat44],
     largest: wp.array[float],
 ) -> None:
     """`neighbors.measure_displacement`."""
-    measure_block(wp.tid(), awake, position, listed_position, largest)
+    measure_block(wp.tid(), awake, position, listed_position, frame, largest)
 
 
 def make_cell_grid(particles: Particles, reach: float) -> CellGrid:
