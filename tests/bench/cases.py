@@ -183,7 +183,7 @@ def dome(count: int) -> NDArray[np.float64]:
 
 
 def turn_wheel(settings: Settings, device: str) -> Run:
-    """A dome of clay on a wheel at 100 rpm, with a ball pressed into its side."""
+    """A dome of clay on a wheel at 100 rpm, with a ball pressed 4 mm into its side."""
     points = dome(WHEEL_COUNT)
     across = np.hypot(points[:, 0], points[:, 1])
     scene = Scene(SPACING)
@@ -217,7 +217,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
 
     def drive(frame: int) -> None:
         turn()
-        tool.set_pose(at(reach - min(frame + 1, 18) * 0.001, 0, height))
+        tool.set_pose(at(reach - min(frame + 1, 16) * 0.00025, 0, height))
 
     lowest = points[:, 2] < SPACING
 
@@ -273,7 +273,7 @@ CASES: tuple[Case, ...] = (
     Case("press-2k", "block pressed by a ball", press_ball((13, 13, 13)), 5.0),
     Case("press-4k", "block pressed by a ball", press_ball((16, 16, 16)), 10.0),
     Case("press-20k", "block pressed by a ball", press_ball((27, 27, 27)), 50.0),
-    Case("wheel", "dome on a wheel at 100 rpm, a ball pressed into it", turn_wheel, 10.0),
+    Case("wheel", "dome on a wheel at 100 rpm, a ball pressed 4 mm in", turn_wheel, 10.0),
     Case(
         "kindergarten",
         "kindergarten, five hands",
