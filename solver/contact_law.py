@@ -6,6 +6,10 @@ they are, a plane each; how hard they push is part of the implicit solve. Fricti
 by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
 2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
 a collider is moved out no faster than `DEPENETRATION_SPEED`.
+
+A soft surface, that of a hand, gives way to what presses it, but later and by a solve of its own.
+A contact with it is a spring in a row with the clay's: its far end is where the surface would be
+without the contact's force, which is the surface of now and what it has given way so far.
 """
 
 import warp as wp

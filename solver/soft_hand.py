@@ -144,7 +144,7 @@ class SoftHand:
     def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Corners of the boxes around what each bone carries [m]: all flesh lies between them."""
         if self.hold:
-            poses, _ = self.hold.applied(poses, np.tile((0.0, 0.0, 0.0, 1.0), (len(poses), 1)))
+            poses = self.hold.change @ poses
         turns = self.path.turns(poses)[self._boxes[0]]
         return (
             np.einsum("bij,bkj->bki", turns[:, :3, :3], self._boxes[1]) + turns[:, None, :3, 3]
@@ -251,12 +251,11 @@ class SoftHand:
 
     def gather(self, slots: ContactSlots, time_step: float) -> None:
         """Take up the forces of a substep of ``time_step`` [s]."""
-        if self._whole:
-            return
-        reported = 1.0 if self._arrived else 0.0
-        self._recordings.run(
-            ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
-        )
+        if not self._whole:
+            reported = 1.0 if self._arrived else 0.0
+            self._recordings.run(
+                ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
+            )
         if self.hold:
             self.hold.follow(self._nodes(), self.forces.load.numpy().astype(float), time_step)
 
@@ -317,7 +316,7 @@ class SoftHand:
         state |= self.compliance.snapshot()
         state["still"] = np.array(self._still)
         if self.hold:
-            state["hold_turn"], state["hold_shift"] = self.hold.turn.copy(), self.hold.shift.copy()
+            state |= {f"hold_{name}": value for name, value in self.hold.snapshot().items()}
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
@@ -335,8 +334,9 @@ class SoftHand:
         self.present = bool(own["present"])
         self._arrival, self._arrived = float(own["arrival"][0]), bool(own["arrival"][1])
         if self.hold:
-            self.hold.turn = own["hold_turn"].copy()
-            self.hold.shift = own["hold_shift"].copy()
+            self.hold.restore(
+                {name.removeprefix("hold_"): own[name] for name in own if name.startswith("hold_")}
+            )
         self._mesh.points.assign(own["skin"])
         self._mesh.velocities.zero_()
         self._mesh.refit()

@@ -20,7 +20,7 @@ from .soft_hand_elasticity import (
     sum_inner_forces,
 )
 from .soft_hand_pattern import block_pattern, incidences, sum_by_block
-from .soft_hand_rest import BEDDING_LENGTH, FleshRest
+from .soft_hand_rest import FleshRest
 from .soft_hand_solve import (
     FleshSolve,
     advance_solve,
@@ -94,7 +94,7 @@ class Flesh:
         data.bone = put(rig.node_bones, wp.vec4i)
         data.weight = put(rig.node_weights, wp.vec4)
         bedding = sum_by_block(rest.bone_shares, tetrahedra, row, column, share, part)
-        data.bedding = put(young_modulus / BEDDING_LENGTH**2 * bedding, float)
+        data.bedding = put(young_modulus / rest.bedding_length**2 * bedding, float)
         data.turn = put(np.tile(np.eye(4), (len(rig.bone_names), 1, 1)), wp.mat44)
         data.bone_frame = put(np.tile((0.0, 0.0, 0.0, 1.0), (len(rig.bone_names), 1)), wp.quat)
         data.position = put(rig.nodes, wp.vec3)

@@ -26,6 +26,8 @@ def held_part(time_step: float) -> float:
     return time_step / (time_step + HOLD_TIME)
 
 
+NEGLIGIBLE = 1.0e-6
+"""Joints that nothing loads are back when they are within this of their pose [rad, m]."""
 LEAST_SHARE = 0.5
 """A node counts as a bone's when the bone and what hangs on it carry this much of it."""
 
@@ -68,6 +70,8 @@ class Hold:
         self.shift = np.zeros((count, 3))
         """What each root has yielded [m]."""
         self._heads = rig.bone_rest[:, :3, 3].copy()
+        self.change = np.tile(np.eye(4), (count, 1, 1))
+        """What yielding changed of each bone's pose when last applied, in the world, [B, 4, 4]."""
 
     def applied(self, poses: Array, frames: Array) -> tuple[Array, Array]:
         """Yielded poses, from those that were set.
@@ -76,6 +80,10 @@ class Hold:
             poses: World from each bone's own coordinates, shape [B, 4, 4].
             frames: How each is turned from rest, as quaternions, shape [B, 4].
         """
+        if not (self.turn.any() or self.shift.any()):
+            self._heads = poses[:, :3, 3].copy()
+            self.change = np.tile(np.eye(4), (len(poses), 1, 1))
+            return poses, frames
         rotation = _rotations(self.turn)
         change = np.zeros_like(poses)
         heads = poses[:, :3, 3]
@@ -89,6 +97,7 @@ class Hold:
                 np.einsum("bij,bj->bi", own, before[:, :3, 3] - head) + head + self.shift[bones]
             )
             change[bones, 3, 3] = 1.0
+        self.change = change
         yielded = change @ poses
         self._heads = yielded[:, :3, 3]
         return yielded, product(quaternions(change[:, :3, :3]), frames)
@@ -111,6 +120,8 @@ class Hold:
         turn, shift = self._asked(nodes, load)
         self.turn += part * (turn - self.turn)
         self.shift += part * (shift - self.shift)
+        if not load.any() and max(np.abs(self.turn).max(), np.abs(self.shift).max()) < NEGLIGIBLE:
+            self.reset()
 
     def response(self, nodes: Array, load: Array) -> Array:
         """What a small load moves the nodes by in the end [m], shape [N, 3]."""
@@ -119,6 +130,15 @@ class Hold:
         about = self._carried @ turn
         offset = self._carried @ (shift - np.cross(turn, self._heads))
         return np.cross(about, nodes) + offset
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """What has yielded."""
+        return {name: getattr(self, name).copy() for name in ("turn", "shift", "change")}
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        for name in ("turn", "shift", "change"):
+            setattr(self, name, state[name].copy())
 
     def reset(self) -> None:
         """Go back to the pose that was set."""

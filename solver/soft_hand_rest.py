@@ -25,6 +25,10 @@ BONE_SHARE = 0.5
 BEDDING_LENGTH = 1.0e-3
 """Depth to which flesh at a bone gives [m]: the bedding's stiffness is the modulus over its
 square."""
+BEDDING_CELLS = 0.133
+"""The same in cells of the lattice, if that is more. A tetrahedron that reaches from bone to skin
+strains evenly: held firmly at its one end it could not give at the other. With this, a fingertip
+gives the same to about a tenth, from one cell across it to four."""
 LEAST_SHARE = 0.1
 """A tetrahedron outside the skin still counts this much, so that its nodes are carried along."""
 LEAF_REACH = 1.6
@@ -43,6 +47,8 @@ class FleshRest:
     bone_shares: NDArray[np.float64]
     """Products of each two shape functions integrated over the bone in each tetrahedron [m³],
     shape [T, 4, 4]; they add up to the volume of the bones."""
+    bedding_length: float
+    """Depth to which flesh at a bone gives [m]."""
 
 
 def bone_axes(rig: HandRig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -88,7 +94,10 @@ def rest_of(rig: HandRig) -> FleshRest:
     products = np.einsum("sk,sl->skl", weights, weights) / len(weights)
     bone_shares = np.einsum("t,ts,skl->tkl", volumes, bone.astype(float), products)
     share = np.maximum(inside.mean(1), LEAST_SHARE)
-    return FleshRest(gradients, volumes * share, bone_shares)
+    # Twelve tetrahedra of a body-centred cubic lattice fill a cell.
+    cell = float(np.cbrt(12.0 * volumes.mean()))
+    bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)
+    return FleshRest(gradients, volumes * share, bone_shares, bedding_length)
 
 
 def _sample_weights() -> NDArray[np.float64]:

@@ -8,10 +8,10 @@ from tactile_clay.tests.experiments.hand_shapes import finger
 
 
 def test_a_pinch_tears_a_piece_off():
-    """Take the ridge between the fingers along, and leave the slab on the table."""
+    """Take what is between the fingers along, and leave the slab on the table."""
     result = pinch()
     assert result.pieces == 2
-    assert 20 <= result.lifted <= 50
+    assert 8 <= result.lifted <= 60
     assert result.grip > 1.0
     assert result.imbalance < 0.03
 

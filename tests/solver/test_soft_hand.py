@@ -234,6 +234,19 @@ def test_stiff_clay_stops_a_yielding_finger_and_soft_clay_lets_it_through(rig: H
     assert forces[1] < 4.0 * 200.0 * 0.012
 
 
+def test_a_yielding_finger_is_back_in_its_pose_soon_after_it_let_go(rig: HandRig):
+    """Lift a finger that yielded off the clay and far away, and find it where it is tracked."""
+    scene, hand = over_a_block(rig, hold_stiffness=100.0)
+    solver = Solver(scene)
+    press(solver, hand, 0.031, range(12))
+    assert skin_of(solver, hand)[:, 2].min() > 0.021
+    for frame in range(30):
+        hand.set_bones(posed(rig, at(0, 0, 0.02 + 0.01 * min(frame, 20))))
+        solver.step(FRAME)
+    expected = rig.vertices + np.array((0, 0, 0.22))
+    np.testing.assert_allclose(skin_of(solver, hand), expected, atol=2e-5)
+
+
 def test_bones_are_where_they_are_set_unless_told_to_yield(rig: HandRig):
     """Carry the root of the flesh exactly, however hard clay pushes."""
     scene, hand = over_a_block(rig, material=Material(yield_stress=5e4, shear_modulus=2e6))

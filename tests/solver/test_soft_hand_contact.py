@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,8 +38,6 @@ def test_distance_to_a_triangle(point: list[float]):
 
 def test_every_face_has_ghosts_on_its_own_side(rig: HandRig):
     """Find a ghost for whatever presses on a face, never one from across the finger."""
-    import warp as wp
-
     skin = make_skin(rig, 0, SPACING, wp.get_device("cpu"))
     begin, ghosts = skin.ghost_begin.numpy(), skin.ghost.numpy()
     assert (np.diff(begin) > 0).all()
