@@ -29,7 +29,6 @@ VECTORS = """{
     auto least = [](f8 a, f8 b) __attribute__((always_inline)) {
         return __builtin_elementwise_min(a, b);
     };
-    auto size = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_abs(a); };
     auto root = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_sqrt(a); };
     auto sum = [](f8 a) __attribute__((always_inline)) {
         const f4 b = a.lo + a.hi;
@@ -48,40 +47,16 @@ VECTORS = """{
     auto cross = [](f4 a, f4 b) __attribute__((always_inline)) {
         return a.yzxw * b.zxyw - a.zxyw * b.yzxw;
     };
-    // Eight numbers from anywhere.
-    auto pick = [](const float* p, const int* j) __attribute__((always_inline)) {
-        return (f8){p[j[0]], p[j[1]], p[j[2]], p[j[3]], p[j[4]], p[j[5]], p[j[6]], p[j[7]]};
-    };
-    // Eight vectors from anywhere, by axis: whole loads and a transposition.
-    auto pick3 = [](const float* p, const int* j, f8& x, f8& y, f8& z)
+    // Four numbers that stand together in each of eight rows, by place: whole loads, transposed.
+    auto pick_rows = [](const float* p, const int* j, int pitch, f8& x, f8& y, f8& z, f8& w)
         __attribute__((always_inline)) {
-        const f4 a = *(const f4u*)(p + 3 * j[0]), b = *(const f4u*)(p + 3 * j[1]);
-        const f4 c = *(const f4u*)(p + 3 * j[2]), d = *(const f4u*)(p + 3 * j[3]);
-        const f4 e = *(const f4u*)(p + 3 * j[4]), f = *(const f4u*)(p + 3 * j[5]);
-        const f4 g = *(const f4u*)(p + 3 * j[6]), h = *(const f4u*)(p + 3 * j[7]);
-        const f8 ae = __builtin_shufflevector(a, e, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 bf = __builtin_shufflevector(b, f, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 cg = __builtin_shufflevector(c, g, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 dh = __builtin_shufflevector(d, h, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 ab = __builtin_shufflevector(ae, bf, 0, 8, 1, 9, 4, 12, 5, 13);
-        const f8 cd = __builtin_shufflevector(cg, dh, 0, 8, 1, 9, 4, 12, 5, 13);
-        const f8 ab2 = __builtin_shufflevector(ae, bf, 2, 10, 3, 11, 6, 14, 7, 15);
-        const f8 cd2 = __builtin_shufflevector(cg, dh, 2, 10, 3, 11, 6, 14, 7, 15);
-        x = __builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13);
-        y = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
-        z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
-    };
-    // Eight vectors of four from anywhere, by component.
-    auto pick4 = [](const float* p, const int* j, f8& x, f8& y, f8& z, f8& w)
-        __attribute__((always_inline)) {
-        const f4 a = *(const f4*)(p + 4 * j[0]), b = *(const f4*)(p + 4 * j[1]);
-        const f4 c = *(const f4*)(p + 4 * j[2]), d = *(const f4*)(p + 4 * j[3]);
-        const f4 e = *(const f4*)(p + 4 * j[4]), f = *(const f4*)(p + 4 * j[5]);
-        const f4 g = *(const f4*)(p + 4 * j[6]), h = *(const f4*)(p + 4 * j[7]);
-        const f8 ae = __builtin_shufflevector(a, e, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 bf = __builtin_shufflevector(b, f, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 cg = __builtin_shufflevector(c, g, 0, 1, 2, 3, 4, 5, 6, 7);
-        const f8 dh = __builtin_shufflevector(d, h, 0, 1, 2, 3, 4, 5, 6, 7);
+        auto row = [&](int l) __attribute__((always_inline)) {
+            return (f4)*(const f4u*)(p + pitch * (long long)j[l]);
+        };
+        const f8 ae = __builtin_shufflevector(row(0), row(4), 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 bf = __builtin_shufflevector(row(1), row(5), 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 cg = __builtin_shufflevector(row(2), row(6), 0, 1, 2, 3, 4, 5, 6, 7);
+        const f8 dh = __builtin_shufflevector(row(3), row(7), 0, 1, 2, 3, 4, 5, 6, 7);
         const f8 ab = __builtin_shufflevector(ae, bf, 0, 8, 1, 9, 4, 12, 5, 13);
         const f8 cd = __builtin_shufflevector(cg, dh, 0, 8, 1, 9, 4, 12, 5, 13);
         const f8 ab2 = __builtin_shufflevector(ae, bf, 2, 10, 3, 11, 6, 14, 7, 15);
@@ -90,6 +65,16 @@ VECTORS = """{
         y = __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15);
         z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
         w = __builtin_shufflevector(ab2, cd2, 2, 3, 10, 11, 6, 7, 14, 15);
+    };
+    // Eight vectors from anywhere, by axis; of three, the array has room behind the last.
+    auto pick3 = [&](const float* p, const int* j, f8& x, f8& y, f8& z)
+        __attribute__((always_inline)) {
+        f8 next;
+        pick_rows(p, j, 3, x, y, z, next);
+    };
+    auto pick4 = [&](const float* p, const int* j, f8& x, f8& y, f8& z, f8& w)
+        __attribute__((always_inline)) {
+        pick_rows(p, j, 4, x, y, z, w);
     };
 """
 
