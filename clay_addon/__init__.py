@@ -22,6 +22,7 @@ _MODULES = (
     "touch_array",
     "touch",
     "touch_operators",
+    "touch_sensitivity",
     "touch_record",
     "touch_overlay",
     "command_line",

@@ -89,6 +89,7 @@ class CLAY_PT_touch(bpy.types.Panel):  # noqa: N801
         column.prop(properties, "modulation")
         column.prop(properties, "play_baked")
         column.prop(properties, "show_overlay")
+        layout.operator("clay.touch_sensitivity", icon="COLOR")
         layout.operator("clay.touch_picture", icon="IMAGE_DATA")
 
 
