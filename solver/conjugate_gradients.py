@@ -13,7 +13,7 @@ from . import conjugate_gradients_cpu
 from .awake import Awake, awake_particle
 from .bond_law import Clay
 from .coarse_space import CoarseSpace, add_to_modes, prolong
-from .pair_rows import motion
+from .pair_products import motion
 from .pairs import Pairs
 from .particles import ByPart, Particles, zeros_with_room
 from .solve_data import Solve

@@ -5,7 +5,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from . import pair_rows, pair_rows_cpu
+from . import pair_products, pair_products_cpu, pair_rows, pair_rows_cpu
 from .bond_law import Clay
 from .pair_rows import MOST_SLOTS, PairRows
 from .particles import Particles
@@ -72,6 +72,7 @@ class Pairs:
         self.lay_out(np.zeros(count, np.int32))
         self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
         self._passes = pair_rows_cpu if device.is_cpu else pair_rows
+        self._products = pair_products_cpu if device.is_cpu else pair_products
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
     def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
@@ -196,7 +197,7 @@ class Pairs:
         """
         particles = self.particles
         self._launch(
-            self._passes.press_pairs,
+            self._products.press_pairs,
             bodies,
             particles.material,
             clay.time_step,
@@ -204,7 +205,7 @@ class Pairs:
             direction,
         )
         self._launch(
-            self._passes.multiply_pairs,
+            self._products.multiply_pairs,
             self.rows,
             own_block,
             direction,

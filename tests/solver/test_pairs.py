@@ -21,6 +21,8 @@ from tactile_clay.solver import (
     contact_law,
     neighbors,
     neighbors_cpu,
+    pair_products,
+    pair_products_cpu,
     pair_rows,
     pair_rows_cpu,
     particles,
@@ -214,8 +216,8 @@ def test_products_are_the_same(pressed: PlasticBonds):
 
     compare(
         pressed,
-        lambda: multiply(pair_rows, body.launch),
-        lambda: multiply(pair_rows_cpu, body.launch_blocks),
+        lambda: multiply(pair_products, body.launch),
+        lambda: multiply(pair_products_cpu, body.launch_blocks),
         [solve.direction],
         per_particle(solve.direction, solve.product) | over_parts(solve.curvature),
     )
