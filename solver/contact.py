@@ -15,13 +15,12 @@ from .contact_law import (
     MOST_CONTACTS,
     ContactPass,
     ContactSlots,
-    Surroundings,
-    find_all_contacts,
     press_all_contacts,
     rest_contacts,
     settle_all_contacts,
     wake_contacts,
 )
+from .contact_search import Surroundings, find_all_contacts
 from .cutting import cut_bonds, cut_bonds_of_block
 from .hand import Hand
 from .pair_rows import PairRows

@@ -2,7 +2,7 @@
 """The passes over contacts for the CPU: most particles touch nothing and are passed by.
 
 A block of particles is screened for those near a collider; the contact law itself is
-`contact_law`'s. A test holds the screening to `contact_law.comes_near`.
+`contact_law`'s. A test holds the screening to `contact_search.comes_near`.
 """
 
 import warp as wp
@@ -11,11 +11,10 @@ from .awake import Awake
 from .contact_law import (
     ContactPass,
     ContactSlots,
-    Surroundings,
-    find_contacts,
     press_contacts,
     settle_contacts,
 )
+from .contact_search import Surroundings, find_contacts
 from .vector_units import BLOCK, OPTIONS, over_block
 
 wp.set_module_options(OPTIONS)
@@ -117,7 +116,7 @@ def find_all_contacts(
     slots: ContactSlots,
     near: Near,
 ) -> None:
-    """`contact_law.find_all_contacts`."""
+    """`contact_search.find_all_contacts`."""
     block = wp.tid()
     found = screen_block(block, awake, common, around, position, velocity, slots, near)
     for k in range(found):

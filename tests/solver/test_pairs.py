@@ -19,6 +19,7 @@ from tactile_clay.solver import (
     conjugate_gradients_cpu,
     contact_cpu,
     contact_law,
+    contact_search,
     neighbors,
     neighbors_cpu,
     pair_products,
@@ -327,7 +328,7 @@ def test_contacts_are_found_the_same(pressed: PlasticBonds):
     inputs = [common, around, body.position, body.velocity, slots]
     compare(
         pressed,
-        lambda: body.launch(contact_law.find_all_contacts, *inputs),
+        lambda: body.launch(contact_search.find_all_contacts, *inputs),
         lambda: body.launch_blocks(contact_cpu.find_all_contacts, *inputs, contacts._near),
         [slots.count, slots.collider, slots.anchor, around.clearance],
         per_particle(slots.count, slots.gap, slots.normal, around.clearance),
