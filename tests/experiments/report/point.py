@@ -105,7 +105,7 @@ def warm_up() -> None:
     """Load and compile what experiments need, so that none of it is counted to the first."""
     wp.config.quiet = True
     stand(duration=0.2, settle=0.1)
-    run_point(Point("press, 5 kPa", Settings(substeps=1, iterations=1), 0.01))
+    run_point(Point("press, 5 kPa, small ball", Settings(substeps=1, iterations=1), 0.01))
 
 
 def workers(count: int) -> ProcessPoolExecutor:

@@ -195,13 +195,15 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         )
         for ratio in (0.1, 0.2, 0.3)
     ),
-    Experiment(
-        "press, 5 kPa",
-        _press(Material()),
-        _PRESS,
-        _SLIP_LINE,
-        swept=True,
-        spacings=(0.005, 0.007, 0.0035),
+    *(
+        Experiment(
+            "press, 5 kPa" + (f", spacing {1e3 * spacing:g} mm" if spacing != SPACING else ""),
+            _press(Material()),
+            _PRESS,
+            _SLIP_LINE,
+            spacings=(spacing,),
+        )
+        for spacing in (0.005, 0.007, 0.0035)
     ),
     Experiment(
         "press, 1 kPa",
@@ -216,10 +218,12 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         _SLIP_LINE,
     ),
     Experiment(
-        "press, 5 kPa, ball of 2.4 spacings",
+        "press, 5 kPa, small ball",
         _press(Material(), radius=0.012),
         _PRESS,
         _SLIP_LINE,
+        swept=True,
+        spacings=(0.005, 0.007, 0.0035),
     ),
     *(
         Experiment(
