@@ -8,9 +8,10 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from tactile_clay.clay_addon import touch_record
-from tactile_clay.clay_addon.bake import BakeError, BakeStaleError, bake
+from tactile_clay.clay_addon.bake import BakeError, BakeProgress, BakeStaleError, bake
 from tactile_clay.clay_addon.cache import Cache
 from tactile_clay.clay_addon.collider import ColliderError, make_collider
 from tactile_clay.clay_addon.hand import hand_objects
@@ -125,7 +126,11 @@ def test_bad_pose_is_dropped_and_the_last_good_one_held(
     assert "'Right hand' was dropped at 2 frames, first at frame 4, and the last good" in warning
     assert ("mirrored" if bad < 0.0 else "not finite") in warning
     for stop in (4, 5):
-        bake(bpy.context, progress=lambda report, stop=stop: report.frame < stop, resume=stop > 4)
+
+        def until(report: BakeProgress, stop: int = stop) -> bool:
+            return report.frame < stop
+
+        bake(bpy.context, progress=until, resume=stop > 4)
         assert Cache(tmp_path / "clay_cache").checkpoints()[-1] == stop
     assert bake(bpy.context, resume=True).baked == LAST - 5
     assert frame_bytes(tmp_path / "clay_cache") == frame_bytes(tmp_path / "whole")
@@ -155,7 +160,7 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     end = 3
     bake(bpy.context, end=end)
     hand.tactile_clay.collider_friction = 0.9
-    with pytest.raises(BakeStaleError, match="since then changed: hands. Bake again"):
+    with pytest.raises(BakeStaleError, match=r"since then changed: hands\. Bake again"):
         bake(bpy.context, end=end, resume=True)
     hand.tactile_clay.collider_friction = 0.5
     assert bake(bpy.context, end=end, resume=True).kept == end
@@ -190,14 +195,47 @@ def test_hand_that_is_lost_touches_nothing(studio: Any, hand: Any, tmp_path: Pat
     )
 
 
+def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
+    """Dent clay that is modelled in centimetres as in metres, and feel it at the same place."""
+    add_array(studio)
+    metres = Cache(bake(bpy.context, directory=tmp_path / "metres").directory)
+    for item in studio.scene.objects:
+        if item.parent is None and item.type != "POINTCLOUD":
+            item.matrix_world = Matrix.Scale(100.0, 4) @ item.matrix_world
+    studio.scene.tactile_touch.array.scale = (1.0, 1.0, 1.0)
+    studio.scene.unit_settings.scale_length = 0.01
+    studio.scene.gravity.z = -981.0
+    clay = studio.scene.objects["Clay"]
+    rest = 100.0 * studio.points(clay, "rest_position")
+    clay.matrix_world = Matrix()
+    clay.tactile_clay.spacing = 1.0
+    for name in ("rest_position", "position"):
+        clay.data.attributes[name].data.foreach_set("vector", rest.ravel())
+    bpy.context.view_layer.update()
+    studio.select(hand)
+    assert bpy.ops.clay.hand_make() == {"FINISHED"}
+    centimetres = Cache(bake(bpy.context, directory=tmp_path / "centimetres").directory)
+    np.testing.assert_allclose(
+        centimetres.read_frame(LAST).positions,
+        100.0 * metres.read_frame(LAST).positions,
+        atol=0.02,
+    )
+    felt, known = (
+        touch_record.recorded_touch(cache, LAST - 1, scale=scale)
+        for cache, scale in ((centimetres, 0.01), (metres, 1.0))
+    )
+    np.testing.assert_allclose(felt.positions, known.positions, atol=1e-3)
+    np.testing.assert_allclose(felt.pressures, known.pressures, rtol=0.05)
+
+
 def test_hand_switched_off_ends_the_bake(studio: Any, hand: Any) -> None:
     """Say what is off and where, keep the frames, and let touch replay again."""
-    hand.keyframe_insert("hide_viewport", frame=1)
-    hand.hide_viewport = True
-    hand.keyframe_insert("hide_viewport", frame=3)
-    studio.scene.frame_set(1)
-    with pytest.raises(BakeError, match="frame 3: 'Right hand' "):
-        bake(bpy.context)
+
+    def switch_off(report: BakeProgress) -> None:
+        hand.hide_viewport = report.frame == 2
+
+    with pytest.raises(BakeError, match="At frame 3: 'Right hand' is switched off"):
+        bake(bpy.context, progress=switch_off)
     assert Cache(Path(bpy.data.filepath).parent / "clay_cache").frames() == [1, 2]
     assert touch_record._playing
 
