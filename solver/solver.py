@@ -240,7 +240,7 @@ class Solver:
         before = self._substeps
         if substeps <= before <= FAMILIAR * substeps:
             return before
-        step = max(1, 1 << (substeps.bit_length() - 3))
+        step = 1 << max(substeps.bit_length() - 3, 0)
         return -(-substeps // step) * step
 
     def _run_substep(self, time_step: float, substep: int, substeps: int) -> None:

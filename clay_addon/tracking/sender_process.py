@@ -38,6 +38,7 @@ class SenderProcess:
         except OSError as error:
             raise TrackingError(f"The sender cannot be started ({error}).") from error
         assert self._process.stderr is not None
+        self._stopped = False
         self._lines: deque[str] = deque(maxlen=20)
         # It must never wait for someone to read what it tells.
         self._reader = threading.Thread(
@@ -47,8 +48,8 @@ class SenderProcess:
 
     @property
     def problem(self) -> str:
-        """Why it ended by itself; empty while it runs, or where it ended well."""
-        if self._process.poll() in (None, 0):
+        """Why it ended by itself; empty while it runs, or where it ended well or was ended."""
+        if self._stopped or self._process.poll() in (None, 0):
             return ""
         self._reader.join(timeout=1.0)
         return self._lines[-1] if self._lines else "The sender ended and did not say why."
@@ -61,6 +62,7 @@ class SenderProcess:
     def stop(self) -> None:
         """End it; a second call does nothing."""
         assert self._process.stdin is not None
+        self._stopped = True
         # What was never written cannot fail to be flushed, but the pipe may be gone.
         try:
             self._process.stdin.close()

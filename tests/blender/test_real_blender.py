@@ -153,6 +153,6 @@ def test_panel_draws_and_bakes_in_a_window(blender_with_extension: Any, scene_fi
     """Draw the Clay tab and bake from it, frame by frame, in a window."""
     result = blender_with_extension.run_script(PANEL, scene=scene_file, window=True, timeout=120)
     assert "Traceback" not in result.output, result.output
-    assert "DRAWN ['Bake', 'Clay', 'Colliders', 'Export']" in result.output
+    assert "DRAWN ['Bake', 'Clay', 'Colliders', 'Export', 'Hands']" in result.output
     assert "BAKE {'RUNNING_MODAL'}" in result.output
     assert "FRAMES [1, 2, 3, 4, 5, 6]" in result.output

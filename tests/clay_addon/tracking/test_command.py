@@ -107,8 +107,10 @@ def test_interrupted_sender_ends_well_and_keeps_its_recording(
     target = tmp_path / "kept.jsonl"
     arguments = ["track", "recording", str(recording), "--loop", "--record", str(target)]
     arguments += ["--port", str(receiver.address[1])]
+    # What a shell runs in the background ignores interrupts, and so do its children.
     source = (
-        "import sys; from tactile_clay.clay_addon.command_line import main; "
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "from tactile_clay.clay_addon.command_line import main; "
         f"sys.exit(main({arguments!r}))"
     )
     with subprocess.Popen(
