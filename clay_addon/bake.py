@@ -22,6 +22,7 @@ from .bake_checks import (
     owner_of,
     resolve_directory,
 )
+from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
 from .pack import is_packed
@@ -109,6 +110,7 @@ class _Tally:
     penetrations: list[float] = field(default_factory=list)
     overflow: int = 0
     quarantined: int = 0
+    warnings: list[str] = field(default_factory=list)
 
 
 def bake(
@@ -185,7 +187,7 @@ def bake_steps(
     previous = scene.frame_current, scene.frame_subframe
     tally = _Tally()
     cancelled = False
-    with paused():
+    with paused(), own_touch():
         try:
             scene.frame_set(start)
             simulation = Simulation(context)
@@ -210,6 +212,7 @@ def bake_steps(
                             if (yield report):
                                 cancelled = True
                                 break
+                    tally.warnings += simulation.warnings()
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except SimulationError as error:
             raise BakeError(str(error)) from error
@@ -239,7 +242,7 @@ def bake_steps(
         max_penetration=max(tally.penetrations, default=None),
         overflow=tally.overflow,
         quarantined=tally.quarantined,
-        warnings=_warnings(scene, tally),
+        warnings=(*tally.warnings, *_warnings(scene, tally)),
     )
 
 
@@ -285,7 +288,10 @@ def _simulate(
     total = len(known) + len(missing)
     at = restore_checkpoint(simulation, cache, meta, missing[0])
     checkpoints = Checkpoints(simulation, cache, meta, at)
+    felt = BakeTouch(simulation, cache, meta)
+    tally.warnings = felt.warnings
     if missing[0] == meta.start:
+        felt.after(meta.start, record=True)
         _write_frame(simulation, cache, meta, meta.start, simulation.feed(depsgraph), tally)
         yield BakeProgress(meta.start, 1, total, None)
     try:
@@ -294,6 +300,8 @@ def _simulate(
             scene.frame_set(number)
             inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
             simulation.step()
+            # Before the frame itself, which counts as done once it is there.
+            felt.after(number, record=number not in known)
             if number not in known:
                 _write_frame(simulation, cache, meta, number, inputs, tally)
             checkpoints.after(number)

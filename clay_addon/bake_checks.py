@@ -110,12 +110,12 @@ def compare(
 ) -> str:
     """What has changed in the scene since it was baked, in words; empty where nothing has.
 
-    Moves the scene through the baked frames, to see what the colliders do there, and leaves it at
+    Moves the scene through the baked frames, to see what colliders and hands do there, and leaves it at
     the last one.
 
     Raises:
         CacheError: There is no bake, or its meta.json is damaged.
-        SimulationError: A collider does what the solver cannot follow.
+        SimulationError: A collider does what the solver cannot follow, or a hand is gone.
     """
     meta = cache.meta()
     changed = changed_subjects(meta, settings)
@@ -124,7 +124,8 @@ def compare(
     for number, frame in cache.whole_frames(meta.start, meta.end).items():
         scene.frame_set(number)
         if simulation.feed(bpy.context.evaluated_depsgraph_get()) != frame.inputs:
-            return f"since then the colliders' motion changed, first at frame {number}"
+            what = simulation.moving_parts()
+            return f"since then the {what} motion changed, first at frame {number}"
     return ""
 
 

@@ -36,8 +36,7 @@ class Checkpoints:
             self._write()
 
     def _write(self) -> None:
-        assert self._simulation.solver is not None
-        snapshot = self._simulation.solver.snapshot()
+        snapshot = self._simulation.snapshot()
         size = self._cache.write_checkpoint(self._reached, snapshot, self._meta)
         # So that the checkpoints never take more room than the frames.
         frame_size = max(1, 24 * self._meta.particle_count)
@@ -48,7 +47,6 @@ class Checkpoints:
 def restore_checkpoint(simulation: Simulation, cache: Cache, meta: Meta, first_missing: int) -> int:
     """Bring the solver as near to the first missing frame as checkpoints allow."""
     scene = simulation.scene
-    assert simulation.solver is not None
     for number in reversed(cache.checkpoints()):
         if not meta.start < number < first_missing:
             continue
@@ -56,7 +54,7 @@ def restore_checkpoint(simulation: Simulation, cache: Cache, meta: Meta, first_m
             snapshot = cache.read_checkpoint(number, meta=meta)
             scene.frame_set(number)
             simulation.feed(bpy.context.evaluated_depsgraph_get())
-            simulation.solver.restore(snapshot)
+            simulation.restore(snapshot)
         except (CacheError, ValueError, KeyError):
             # An earlier checkpoint, or the rest state, leads to the same frames.
             continue

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a Blender scene to a solver: the clay, the colliders, and what decides the result.
+"""From a Blender scene to a solver: the clay, the colliders, the hands, and what decides the result.
 
 Blender's units are turned into metres here, and back, and nowhere else.
 """
@@ -21,6 +21,9 @@ from ..solver.polar import rotation_and_stretch
 from ..solver.settings import Settings
 from .cache import ClaySlice
 from .collider import ColliderError, resolve_kind
+from .hand import hand_objects
+from .hand_motion import HandState, MovingHand
+from .hand_reading import HandError
 from .mesh_geometry import (
     SWITCHED_OFF,
     evaluated_mesh,
@@ -33,6 +36,10 @@ from .preferences import device_choice, missing_parts
 
 if TYPE_CHECKING:
     from ..solver import MeshCollider, Solver
+
+
+_HELD = "scene_hand_{}_held"
+"""Key of the pose that a hand holds, in a snapshot."""
 
 
 class SimulationError(Exception):
@@ -198,6 +205,8 @@ class Simulation:
             raise SimulationError(
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
+        # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
+        self.hands = _read_hands(context)
         depsgraph = context.evaluated_depsgraph_get()
         _check_clay(clay, depsgraph)
         self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
@@ -256,7 +265,18 @@ class Simulation:
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
+            "hands": _digest(*(hand.digest_parts() for hand in self.hands)),
         }
+
+    def moving_parts(self) -> str:
+        """What can move in this scene besides the clay, in words and in the genitive."""
+        if not self.hands:
+            return "colliders'"
+        return "colliders' or hands'" if self._meshes else "hands'"
+
+    def warnings(self) -> list[str]:
+        """What the user should know of how the hands went."""
+        return [text for hand in self.hands for text in hand.warnings()]
 
     # Running ----------------------------------------------------------------------------------
 
@@ -287,19 +307,23 @@ class Simulation:
                 vertices, _ = self._state(part, depsgraph)
                 friction = self._frictions[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+            for hand in self.hands:
+                hand.start(scene, depsgraph)
             self.feed(depsgraph)
             self.solver = Solver(scene, self.settings, device=device)
+        except HandError as error:
+            raise SimulationError(str(error)) from error
         except (MeshError, ValueError, RuntimeError) as error:
             raise SimulationError(f"The solver cannot take this scene: {error}") from error
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
-        """Tell the solver, if it runs, where the colliders are at the current frame.
+        """Tell the solver, if it runs, where colliders and hands are at the current frame.
 
         Returns:
-            Sixteen bytes that say what the colliders do.
+            Sixteen bytes that say what they do.
 
         Raises:
-            SimulationError: A collider did what a solver cannot follow.
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
         """
         self._check_followed(depsgraph)
         self._check_planes(depsgraph)
@@ -315,12 +339,39 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        return bytes.fromhex(_digest(*states))
+        return bytes.fromhex(_digest(*states, *self._feed_hands(depsgraph)))
+
+    def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
+        try:
+            return [hand.feed(depsgraph) for hand in self.hands]
+        except HandError as error:
+            raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
 
     def step(self) -> None:
         """Advance by one frame, to where `feed` put the colliders."""
         assert self.solver is not None
         self.solver.step(self.time_step)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Everything that decides what the next steps do, as plain arrays."""
+        assert self.solver is not None
+        held = {_HELD.format(number): hand.held() for number, hand in enumerate(self.hands)}
+        return {**self.solver.snapshot(), **held}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Take up a state that `snapshot` gave, after `feed` at its frame.
+
+        Raises:
+            KeyError: A hand is missing in it.
+            ValueError: It is of another scene, or damaged.
+        """
+        assert self.solver is not None
+        rest = dict(snapshot)
+        # At the frame itself a hand may have a pose that was dropped, and hold an earlier one.
+        held = [rest.pop(_HELD.format(number)) for number in range(len(self.hands))]
+        self.solver.restore(rest)
+        for hand, bones in zip(self.hands, held, strict=True):
+            hand.hold(bones)
 
     def positions(self) -> NDArray[np.float32]:
         """World positions [Blender units], shape [N, 3]."""
@@ -417,6 +468,13 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
         SimulationError: The clay cannot be simulated.
     """
     return _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay))
+
+
+def _read_hands(context: bpy.types.Context) -> list[MovingHand]:
+    try:
+        return [MovingHand(context, item) for item in hand_objects(context.scene)]
+    except HandError as error:
+        raise SimulationError(str(error)) from error
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
