@@ -148,9 +148,9 @@ def _suzanne(name: str) -> bpy.types.Object:
 def _caterpillar(name: str) -> bpy.types.Object:
     """A loaf of a body, a neck and a ball of a head, along Y with the head at -Y."""
     parts = (
-        ((0.0, 0.022, 0.0150), (0.0175, 0.0250, 0.0160)),
-        ((0.0, -0.008, 0.0095), (0.0085, 0.0140, 0.0085)),
-        ((0.0, -0.027, 0.0135), (0.0150, 0.0145, 0.0150)),
+        ((0.0, 0.024, 0.0150), (0.0175, 0.0250, 0.0160)),
+        ((0.0, -0.010, 0.0085), (0.0065, 0.0160, 0.0070)),
+        ((0.0, -0.031, 0.0135), (0.0150, 0.0145, 0.0150)),
     )
     items = []
     for center, radii in parts:
@@ -192,15 +192,15 @@ def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
 
 
 _PIECES = (
-    _Piece("Red block", 335, (0.62, 0.025, 0.020), (-0.096, -0.030), 4.0, partial(_block, cells=7)),
+    _Piece("Red block", 335, (0.62, 0.025, 0.020), (-0.100, -0.012), 4.0, partial(_block, cells=7)),
     _Piece(
-        "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0975, 0.055), 0.0, partial(_block, cells=6)
+        "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0215, 0.045), 0.0, partial(_block, cells=6)
     ),
-    _Piece("Blue block", 208, (0.020, 0.13, 0.56), (-0.0545, 0.055), 0.0, partial(_block, cells=6)),
-    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.077, 0.034), 90.0, _caterpillar),
-    _Piece("Orange Suzanne", 854, (0.80, 0.17, 0.012), (0.004, -0.062), 0.0, _suzanne),
+    _Piece("Blue block", 208, (0.020, 0.13, 0.56), (0.0215, 0.045), 0.0, partial(_block, cells=6)),
+    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.074, -0.050), 90.0, _caterpillar),
+    _Piece("Orange Suzanne", 854, (0.80, 0.17, 0.012), (-0.027, -0.070), 0.0, _suzanne),
     _Piece(
-        "Violet block", 117, (0.20, 0.045, 0.36), (0.098, -0.056), 28.0, partial(_block, cells=5)
+        "Violet block", 117, (0.20, 0.045, 0.36), (0.118, 0.040), 12.0, partial(_block, cells=5)
     ),
 )
 
@@ -258,8 +258,8 @@ def _add_camera(context: bpy.types.Context) -> None:
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 50.0
     item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.012, -0.425, 0.285)
-    target = Vector((0.010, 0.012, 0.016))
+    item.location = (0.010, -0.415, 0.315)
+    target = Vector((0.010, 0.002, 0.010))
     item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
     context.collection.objects.link(item)
     context.scene.camera = item

@@ -24,6 +24,8 @@ from .kindergarten_parts import mesh_object, plain_material
 
 HAND_LENGTH = 0.15
 """From wrist to fingertip of a child of nine [m]."""
+_FRICTION = 0.8
+"""Coulomb friction coefficient of a child's hands, which are not clean."""
 
 Vec3 = tuple[float, float, float]
 
@@ -58,7 +60,7 @@ _FLAT = _Hold(
         middle=(0.0, -4.0, 4.0, 4.0),
         ring=(5.0, -4.0, 4.0, 4.0),
         little=(11.0, -4.0, 4.0, 4.0),
-        thumb=(-14.0, -8.0, 0.0, 8.0, 4.0),
+        thumb=(-10.0, 16.0, 0.0, 8.0, 4.0),
     ),
     forward=(0.12, -1.0, -0.10),
     back=(0.0, 0.0, 1.0),
@@ -66,9 +68,11 @@ _FLAT = _Hold(
 )
 _PINCHED_POSE = replace(
     POSES["pinch"],
-    middle=(0.0, 20.0, 52.0, 30.0),
-    ring=(4.0, 18.0, 52.0, 30.0),
-    little=(9.0, 14.0, 50.0, 30.0),
+    index=(-6.0, 36.0, 62.0, 34.0),
+    middle=(2.0, 4.0, 22.0, 14.0),
+    ring=(5.0, -4.0, 22.0, 14.0),
+    little=(10.0, -8.0, 22.0, 14.0),
+    thumb=(26.0, 15.0, 57.0, 0.0, 1.0),
 )
 _PINCH_ANCHOR = ("thumb_tip", "index_tip")
 _PINCHED = _Hold(
@@ -89,38 +93,37 @@ _PUSH_POSE = replace(
     thumb=(-10.0, -10.0, 0.0, 8.0, 4.0),
 )
 _PUSH_ANCHOR = ("middle_proximal", "ring_proximal", "middle_intermediate", "ring_intermediate")
-_PUSH_RIGHT = _Hold(_PUSH_POSE, (0.10, -1.0, -0.16), (-1.0, 0.0, 0.0), _PUSH_ANCHOR)
-_PUSH_LEFT = _Hold(_PUSH_POSE, (-0.10, -1.0, -0.16), (1.0, 0.0, 0.0), _PUSH_ANCHOR)
+_PUSH_RIGHT = _Hold(_PUSH_POSE, (0.05, -1.0, -0.16), (-1.0, 0.0, 0.0), _PUSH_ANCHOR)
+_PUSH_LEFT = _Hold(_PUSH_POSE, (-0.05, -1.0, -0.16), (1.0, 0.0, 0.0), _PUSH_ANCHOR)
 _POINT = _Hold(POSES["point"], (-0.15, -0.80, -0.55), (0.0, 0.0, 1.0), ("index_tip",))
 
 _RIGHT = (
-    _Key(1, _FLAT, (-0.100, 0.000, 0.075)),
-    _Key(8, _FLAT, (-0.100, -0.004, 0.056)),
-    _Key(38, _FLAT, (-0.100, -0.006, 0.029)),
-    _Key(46, _FLAT, (-0.100, -0.006, 0.029)),
+    _Key(1, _FLAT, (-0.100, 0.010, 0.075)),
+    _Key(8, _FLAT, (-0.100, -0.012, 0.056)),
+    _Key(38, _FLAT, (-0.100, -0.016, 0.028)),
+    _Key(46, _FLAT, (-0.100, -0.016, 0.028)),
     _Key(56, _FLAT, (-0.102, 0.020, 0.075)),
-    _Key(68, _PUSH_RIGHT, (-0.056, 0.045, 0.037)),
-    _Key(90, _PUSH_RIGHT, (-0.035, 0.045, 0.037)),
-    _Key(95, _PUSH_RIGHT, (-0.035, 0.045, 0.037)),
-    _Key(104, _PUSH_RIGHT, (-0.060, 0.060, 0.045)),
-    _Key(120, _PUSH_RIGHT, (-0.110, 0.150, 0.090)),
+    _Key(68, _PUSH_RIGHT, (-0.058, 0.047, 0.037)),
+    _Key(88, _PUSH_RIGHT, (-0.036, 0.047, 0.037)),
+    _Key(92, _PUSH_RIGHT, (-0.036, 0.047, 0.037)),
+    _Key(99, _PUSH_RIGHT, (-0.058, 0.047, 0.040)),
+    _Key(120, _PUSH_RIGHT, (-0.110, 0.130, 0.090)),
 )
 _LEFT = (
-    _Key(1, _OPEN, (0.112, 0.030, 0.060)),
-    _Key(12, _OPEN, (0.094, 0.020, 0.014)),
-    _Key(26, _PINCHED, (0.094, 0.020, 0.014)),
-    _Key(42, _PINCHED, (0.140, 0.020, 0.022)),
-    _Key(46, _PINCHED, (0.142, 0.020, 0.020)),
-    _Key(50, _OPEN, (0.142, 0.022, 0.020)),
-    _Key(57, _OPEN, (0.130, 0.040, 0.070)),
-    _Key(68, _PUSH_LEFT, (0.056, 0.045, 0.037)),
-    _Key(90, _PUSH_LEFT, (0.035, 0.045, 0.037)),
-    _Key(92, _PUSH_LEFT, (0.035, 0.045, 0.037)),
-    _Key(97, _PUSH_LEFT, (0.055, 0.050, 0.050)),
-    _Key(104, _POINT, (0.080, -0.062, 0.040)),
-    _Key(112, _POINT, (0.080, -0.062, 0.0185)),
-    _Key(114, _POINT, (0.080, -0.062, 0.0185)),
-    _Key(120, _POINT, (0.086, -0.045, 0.060)),
+    _Key(1, _OPEN, (0.092, -0.030, 0.050)),
+    _Key(10, _OPEN, (0.085, -0.050, 0.011)),
+    _Key(24, _PINCHED, (0.085, -0.050, 0.0095)),
+    _Key(42, _PINCHED, (0.136, -0.050, 0.022)),
+    _Key(48, _OPEN, (0.138, -0.050, 0.025)),
+    _Key(57, _OPEN, (0.120, -0.010, 0.075)),
+    _Key(68, _PUSH_LEFT, (0.058, 0.047, 0.037)),
+    _Key(88, _PUSH_LEFT, (0.036, 0.047, 0.037)),
+    _Key(92, _PUSH_LEFT, (0.036, 0.047, 0.037)),
+    _Key(97, _PUSH_LEFT, (0.058, 0.047, 0.042)),
+    _Key(104, _POINT, (0.118, 0.040, 0.036)),
+    _Key(112, _POINT, (0.118, 0.040, 0.0165)),
+    _Key(114, _POINT, (0.118, 0.040, 0.0165)),
+    _Key(120, _POINT, (0.122, 0.055, 0.060)),
 )
 
 
@@ -139,6 +142,7 @@ def add_hands(context: bpy.types.Context) -> tuple[bpy.types.Object, ...]:
         ("left", _LEFT, (0.42, 0.10, 0.08)),
     ):
         item = add_hand(context, side, length=HAND_LENGTH)
+        item.tactile_clay.collider_friction = _FRICTION
         armature = hand_armature(item)
         armature.show_in_front = False
         _key(armature, side, keys)
