@@ -110,8 +110,8 @@ def compare(
 ) -> str:
     """What has changed in the scene since it was baked, in words; empty where nothing has.
 
-    Moves the scene through the baked frames, to see what colliders and hands do there, and leaves it at
-    the last one.
+    Moves the scene through the baked frames, to see what colliders and hands do there, and leaves
+    it at the last one.
 
     Raises:
         CacheError: There is no bake, or its meta.json is damaged.

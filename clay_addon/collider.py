@@ -29,8 +29,8 @@ def make_collider(
         friction: Coulomb friction coefficient.
 
     Raises:
-        ColliderError: The object is no mesh, open, linked from another file, or not of the kind
-            asked for; it stays as it was.
+        ColliderError: The object is no mesh, open, a clay hand, linked from another file, or not
+            of the kind asked for; it stays as it was.
     """
     if friction < 0 or not np.isfinite(friction):
         raise ColliderError(f"The friction is {friction!r}; it must be a number of at least 0.")
@@ -46,6 +46,11 @@ def make_collider(
 
 
 def _check_kept(item: bpy.types.Object) -> None:
+    if item.tactile_clay.role == "HAND":
+        raise ColliderError(
+            f"{item.name!r} is a clay hand, which works the clay already. To make it a collider, "
+            "press Remove Clay Hand first."
+        )
     if item.library is not None:
         raise ColliderError(
             f"{item.name!r} is linked from another file, so this one would not keep that it is a "

@@ -49,6 +49,8 @@ class MovingHand:
     def __init__(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
         self.item = item
         self.rig = read_hand_rig(context, item)
+        # A custom property that is new does not reach the evaluated armature by itself.
+        hand_armature(item).update_tag()
         self.friction = float(item.tactile_clay.collider_friction)
         self.handle: Hand | None = None
         self._notice = hand_message(context.scene, item)

@@ -116,6 +116,12 @@ class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
             message = hand_state(context.scene, hand)
             if message:
                 draw_text(layout.box(), message, icon="ERROR")
+            # Whoever poses a hand has its armature active.
+            if context.object is not None and context.object in (hand, hand.find_armature()):
+                box = layout.box()
+                box.use_property_split = True
+                box.use_property_decorate = False
+                box.prop(hand.tactile_clay, "collider_friction")
 
 
 class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a Blender scene to a solver: the clay, the colliders, the hands, and what decides the result.
+"""From a Blender scene to a solver: clay, colliders, hands, and what decides the result.
 
 Blender's units are turned into metres here, and back, and nowhere else.
 """

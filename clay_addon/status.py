@@ -13,6 +13,8 @@ from .bake_checks import BakeError, compare, resolve_directory
 from .bake_operators import size_text
 from .cache import Cache, CacheError
 from .collider import ColliderError, resolve_kind
+from .hand import hand_message, hand_objects, read_hand_rig
+from .hand_reading import HandError
 from .playback import paused
 from .preferences import ADDON_VERSION, missing_parts
 from .properties import frame_range
@@ -29,13 +31,15 @@ from .simulation import (
 def inspect(
     context: bpy.types.Context, directory: str | os.PathLike[str] | None = None
 ) -> dict[str, Any]:
-    """Describe the clay, the colliders and the bake of a scene; needs no solver.
+    """Describe the clay, the colliders, the hands and the bake of a scene; needs no solver.
 
     Args:
         context: Its scene is described; its current frame is the same afterwards.
         directory: Cache folder; the scene's setting where not given.
     """
     scene = context.scene
+    # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
+    hands = [_describe_hand(context, item) for item in hand_objects(scene)]
     depsgraph = context.evaluated_depsgraph_get()
     scale = scene.unit_settings.scale_length
     return {
@@ -54,6 +58,7 @@ def inspect(
             for item in clay_objects(scene)
         ],
         "colliders": [_describe_collider(item, depsgraph) for item in collider_objects(scene)],
+        "hands": hands,
         "bake": _describe_bake(context, directory),
         "problems": missing_parts(),
     }
@@ -67,6 +72,26 @@ def _describe_collider(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -
         return {**table, "kind": kind.lower()}
     except ColliderError as error:
         return {**table, "kind": None, "problem": str(error)}
+
+
+def _describe_hand(context: bpy.types.Context, item: bpy.types.Object) -> dict[str, Any]:
+    table: dict[str, Any] = {
+        "name": item.name,
+        "side": None,
+        "ghost_count": 0,
+        "friction": item.tactile_clay.collider_friction,
+        "problem": "",
+    }
+    try:
+        rig = read_hand_rig(context, item)
+    except HandError as error:
+        return {**table, "problem": str(error)}
+    return {
+        **table,
+        "side": rig.side or None,
+        "ghost_count": len(rig.ghost_areas),
+        "problem": hand_message(context.scene, item),
+    }
 
 
 def _describe_bake(
@@ -125,6 +150,12 @@ def describe(table: dict[str, Any]) -> str:
     for collider in table["colliders"]:
         what = collider["problem"] or f"{collider['kind']}, friction {collider['friction']:.2g}"
         lines.append(f"  collider  {collider['name']}: {what}")
+    for hand in table["hands"]:
+        what = hand["problem"] or (
+            f"{hand['side'] or 'side unknown'}, {hand['ghost_count']:,} ghosts, "
+            f"friction {hand['friction']:.2g}"
+        )
+        lines.append(f"  hand      {hand['name']}: {what}")
     bake = table["bake"]
     start, end = bake["range"]
     if not bake["frames"] and not bake["problem"]:

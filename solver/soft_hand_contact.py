@@ -19,6 +19,8 @@ wp.set_module_options(OPTIONS)
 
 GHOST_REACH = 0.6
 """How far around a contact ghosts feel it, in spacings: the face of a particle reaches so far."""
+_CHUNK = 256
+"""So many faces are compared with ghosts at a time."""
 
 
 @wp.struct
@@ -209,34 +211,51 @@ def _ghosts_by_face(
     corners = rig.vertices[rig.faces]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     low, high = corners.min(1) - reach, corners.max(1) + reach
+    # Along the hand first: few ghosts of the sorted ones lie beside a face.
+    along = int(np.ptp(place, axis=0).argmax())
+    order = np.argsort(place[:, along], kind="stable")
+    sorted_place = place[order, along]
+    begins = np.searchsorted(sorted_place, low[:, along], side="right")
+    counts = np.maximum(np.searchsorted(sorted_place, high[:, along], side="left") - begins, 0)
     found = []
-    for face in range(len(rig.faces)):
-        inside = ((place > low[face]) & (place < high[face])).all(1)
-        near = np.flatnonzero(inside)
-        near = near[normals[near] @ outward[face] > 0.0]
-        away = _distance_to_triangle(place[near], corners[face])
-        near = near[away < reach]
-        if not len(near):
-            near = np.array([_distance_to_triangle(place, corners[face]).argmin()])
-        found.append(near)
-    begin = np.concatenate([[0], np.cumsum([len(near) for near in found])])
-    return begin.astype(np.int32), np.concatenate(found).astype(np.int32)
+    for first in range(0, len(corners), _CHUNK):
+        many = counts[first : first + _CHUNK]
+        face = np.repeat(np.arange(first, first + len(many)), many)
+        rank = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
+        ghost = order[begins[face] + rank]
+        for axis in {0, 1, 2} - {along}:
+            at = place[ghost, axis]
+            kept = (at > low[face, axis]) & (at < high[face, axis])
+            face, ghost = face[kept], ghost[kept]
+        kept = (normals[ghost] * outward[face]).sum(1) > 0.0
+        face, ghost = face[kept], ghost[kept]
+        kept = _distance_to_triangles(place[ghost], corners[face]) < reach
+        found.append(np.column_stack([face[kept], ghost[kept]]))
+    pairs = np.concatenate(found)
+    # Where none is in reach, the nearest of all.
+    for face in np.setdiff1d(np.arange(len(corners)), pairs[:, 0]):
+        every = np.broadcast_to(corners[face], (len(place), 3, 3))
+        nearest = _distance_to_triangles(place, every).argmin()
+        pairs = np.concatenate([pairs, [[face, nearest]]])
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    begin = np.searchsorted(pairs[:, 0], np.arange(len(corners) + 1))
+    return begin.astype(np.int32), pairs[:, 1].astype(np.int32)
 
 
-def _distance_to_triangle(
+def _distance_to_triangles(
     points: NDArray[np.float64], corners: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance of points from a triangle [m], shape [P]."""
-    first, second = corners[1] - corners[0], corners[2] - corners[0]
-    normal = np.cross(first, second)
-    size = float(np.linalg.norm(normal))
+    """Distance of each point from its own triangle [m]; corners have shape [P, 3, 3]."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
     nearest = np.full(len(points), np.inf)
-    inside = np.full(len(points), size > 0.0)
+    inside = size > 0.0
     for k in range(3):
-        start, axis = corners[k], corners[(k + 1) % 3] - corners[k]
+        start, axis = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
         offset = points - start
-        along = np.clip(offset @ axis / max(float(axis @ axis), 1e-30), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(offset - along[:, None] * axis, axis=1))
-        inside &= np.cross(axis, offset) @ normal >= 0.0
-    height = np.abs((points - corners[0]) @ normal) / max(size, 1e-30)
+        along = (offset * axis).sum(1) / np.maximum((axis * axis).sum(1), 1e-30)
+        rest = offset - np.clip(along, 0.0, 1.0)[:, None] * axis
+        nearest = np.minimum(nearest, np.linalg.norm(rest, axis=1))
+        inside &= (np.cross(axis, offset) * normal).sum(1) >= 0.0
+    height = np.abs(((points - corners[:, 0]) * normal).sum(1)) / np.maximum(size, 1e-30)
     return np.where(inside, height, nearest)

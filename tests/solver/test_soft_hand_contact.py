@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_clay.solver import HandRig, Material, Scene, Solver
-from tactile_clay.solver.soft_hand_contact import _distance_to_triangle, make_skin
+from tactile_clay.solver.soft_hand_contact import _distance_to_triangles, make_skin
 from tactile_clay.tests.experiments.hand_shapes import finger, posed
 from tactile_clay.tests.experiments.shapes import at, block
 
@@ -30,7 +30,7 @@ def test_distance_to_a_triangle(point: list[float]):
     inside = first + second <= 1.0
     weights = np.column_stack([1.0 - first[inside] - second[inside], first[inside], second[inside]])
     nearest = np.linalg.norm(weights @ corners - point, axis=1).min()
-    found = _distance_to_triangle(np.array([point]), corners)[0]
+    found = _distance_to_triangles(np.array([point]), corners[None])[0]
     assert found <= nearest + 1e-9
     assert found == pytest.approx(nearest, abs=0.02)
 
