@@ -198,9 +198,9 @@ _PIECES = (
     ),
     _Piece("Blue block", 208, (0.020, 0.13, 0.56), (0.0215, 0.045), 0.0, partial(_block, cells=6)),
     _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.074, -0.050), 90.0, _caterpillar),
-    _Piece("Orange Suzanne", 854, (0.80, 0.17, 0.012), (-0.027, -0.070), 0.0, _suzanne),
+    _Piece("Orange Suzanne", 763, (0.80, 0.17, 0.012), (-0.027, -0.070), 0.0, _suzanne),
     _Piece(
-        "Violet block", 117, (0.20, 0.045, 0.36), (0.118, 0.040), 12.0, partial(_block, cells=5)
+        "Violet block", 208, (0.20, 0.045, 0.36), (0.115, 0.038), 12.0, partial(_block, cells=6)
     ),
 )
 
@@ -258,8 +258,8 @@ def _add_camera(context: bpy.types.Context) -> None:
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 50.0
     item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.010, -0.415, 0.315)
-    target = Vector((0.010, 0.002, 0.010))
+    item.location = (0.016, -0.415, 0.315)
+    target = Vector((0.016, 0.000, 0.010))
     item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
     context.collection.objects.link(item)
     context.scene.camera = item
