@@ -141,7 +141,7 @@ def _suzanne(name: str) -> bpy.types.Object:
     # Ears of a particle's thickness would break off: make her a little chubby.
     plump = item.modifiers.new("Chubby", "DISPLACE")
     plump.strength, plump.mid_level = 0.03, 0.0
-    _flatten_base(item, -0.31)
+    _flatten_base(item, -0.25)
     return _close(item, 0.02)
 
 
@@ -149,7 +149,7 @@ def _caterpillar(name: str) -> bpy.types.Object:
     """A loaf of a body, a neck and a ball of a head, along Y with the head at -Y."""
     parts = (
         ((0.0, 0.024, 0.0150), (0.0175, 0.0250, 0.0160)),
-        ((0.0, -0.010, 0.0085), (0.0065, 0.0160, 0.0070)),
+        ((0.0, -0.010, 0.0080), (0.0056, 0.0160, 0.0062)),
         ((0.0, -0.031, 0.0135), (0.0150, 0.0145, 0.0150)),
     )
     items = []
@@ -192,13 +192,13 @@ def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
 
 
 _PIECES = (
-    _Piece("Red block", 335, (0.62, 0.025, 0.020), (-0.100, -0.012), 4.0, partial(_block, cells=7)),
+    _Piece("Red block", 208, (0.62, 0.025, 0.020), (-0.106, 0.014), 4.0, partial(_block, cells=6)),
     _Piece(
         "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0215, 0.045), 0.0, partial(_block, cells=6)
     ),
     _Piece("Blue block", 208, (0.020, 0.13, 0.56), (0.0215, 0.045), 0.0, partial(_block, cells=6)),
     _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.074, -0.050), 90.0, _caterpillar),
-    _Piece("Orange Suzanne", 763, (0.80, 0.17, 0.012), (-0.027, -0.070), 0.0, _suzanne),
+    _Piece("Orange Suzanne", 890, (0.80, 0.17, 0.012), (-0.040, -0.080), 0.0, _suzanne),
     _Piece(
         "Violet block", 208, (0.20, 0.045, 0.36), (0.115, 0.038), 12.0, partial(_block, cells=6)
     ),
@@ -231,7 +231,7 @@ def _add_table(context: bpy.types.Context) -> None:
     tree.links.new(grain.outputs[0], tint.inputs["Fac"])
     tree.links.new(tint.outputs["Color"], shader.inputs["Base Color"])
     top.data.materials.append(material)
-    make_collider(top, "PLANE", 0.6)
+    make_collider(top, "PLANE", 0.8)
 
 
 def _add_lights(context: bpy.types.Context) -> None:
