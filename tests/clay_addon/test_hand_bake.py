@@ -270,3 +270,7 @@ def test_hand_is_known_wherever_roles_are(studio: Any, hand: Any) -> None:
     studio.scene.objects["Clay"].tactile_clay.spacing = 0.02
     (warning,) = bake(bpy.context, end=2).warnings
     assert "bound for clay of another spacing" in warning
+    studio.block(location=(0.5, 0.0, 0.0))
+    bpy.context.object.tactile_clay.role = "HAND"
+    with pytest.raises(BakeError, match=r"'Cube\.001' is no clay hand\. Press Make Clay Hand"):
+        bake(bpy.context, end=2)
