@@ -18,12 +18,11 @@ from math import radians
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
-from numpy.typing import NDArray
 
 from ..solver.closed_mesh import mesh_volume
 from .collider import make_collider
 from .kindergarten_hands import add_hands
-from .kindergarten_parts import mesh_object, plain_material
+from .kindergarten_parts import Vec3, mesh_object, plain_material
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh, transform
 
@@ -33,8 +32,6 @@ SPACING = 0.005
 """Distance between particles [m]."""
 FRAME_COUNT = 120
 FRAMES_PER_SECOND = 60
-
-Vec3 = tuple[float, float, float]
 
 _SUZANNE_TILT = Matrix.Rotation(radians(-24.0), 4, "X")
 """Makes her look up."""
@@ -258,8 +255,8 @@ def _add_camera(context: bpy.types.Context) -> None:
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 50.0
     item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.016, -0.415, 0.315)
-    target = Vector((0.016, 0.000, 0.010))
+    item.location = (0.020, -0.415, 0.315)
+    target = Vector((0.020, 0.000, 0.010))
     item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
     context.collection.objects.link(item)
     context.scene.camera = item

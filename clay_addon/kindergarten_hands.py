@@ -20,14 +20,12 @@ from ..solver.default_hand import bone_matrices
 from ..solver.hand_shape import POSES, HandPose, hand_shape
 from .add_hand import add_hand
 from .hand_reading import hand_armature
-from .kindergarten_parts import mesh_object, plain_material
+from .kindergarten_parts import Vec3, mesh_object, plain_material
 
 HAND_LENGTH = 0.15
 """From wrist to fingertip of a child of nine [m]."""
 _FRICTION = 0.8
 """Coulomb friction coefficient of a child's hands, which are not clean."""
-
-Vec3 = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -80,9 +78,7 @@ _PINCHED = _Hold(
 )
 _OPEN = replace(
     _PINCHED,
-    pose=replace(
-        _PINCHED_POSE, index=(-6.0, 25.0, 44.0, 22.0), thumb=(12.0, 13.0, 50.0, 0.0, 0.0)
-    ),
+    pose=replace(_PINCHED_POSE, index=(-6.0, 25.0, 44.0, 22.0), thumb=(12.0, 13.0, 50.0, 0.0, 0.0)),
 )
 _PUSH_POSE = replace(
     POSES["flat"],
@@ -90,7 +86,7 @@ _PUSH_POSE = replace(
     middle=(0.0, 2.0, 3.0, 2.0),
     ring=(2.0, 2.0, 3.0, 2.0),
     little=(5.0, 2.0, 3.0, 2.0),
-    thumb=(-10.0, -10.0, 0.0, 8.0, 4.0),
+    thumb=(-12.0, 10.0, 0.0, 10.0, 8.0),
 )
 _PUSH_ANCHOR = ("middle_proximal", "ring_proximal", "middle_intermediate", "ring_intermediate")
 _PUSH_RIGHT = _Hold(_PUSH_POSE, (0.05, -1.0, -0.16), (-1.0, 0.0, 0.0), _PUSH_ANCHOR)

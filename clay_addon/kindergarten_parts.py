@@ -9,6 +9,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+Vec3 = tuple[float, float, float]
+
 
 def mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.types.Object:
     """Link an object of vertices, shape [V, 3], and faces to the collection in use."""

@@ -230,7 +230,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
 
 
 def kindergarten(settings: Settings, device: str) -> Run:
-    """The kindergarten scene with its two soft hands, from the frame on where both touch the clay."""
+    """The kindergarten scene with its two soft hands, from where they touch the clay."""
     import bpy
 
     from tactile_clay.clay_addon import kindergarten, register
