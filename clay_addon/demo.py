@@ -2,7 +2,7 @@
 """The demonstration: simulate, pack, export and render the kindergarten scene.
 
 It leaves a .blend that plays with and without the extension, the last frame as STL, PLY and GLB, a
-contact sheet of four moments, and a report with the figures.
+contact sheet of six moments, and a report with the figures.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _parse(argv: Sequence[str]) -> _Options:
     )
     parser.add_argument("--output", type=Path, default=Path("build/demo"), help="where it goes")
     parser.add_argument("--frames", type=int, default=FRAME_COUNT, help="frames to simulate")
-    parser.add_argument("--width", type=int, default=720, help="width of one picture [pixels]")
+    parser.add_argument("--width", type=int, default=600, help="width of one picture [pixels]")
     parser.add_argument("--samples", type=int, default=16, help="samples a pixel")
     words = parser.parse_args(list(argv))
     if not 2 <= words.frames <= FRAME_COUNT:
@@ -177,7 +177,7 @@ def _make(options: _Options, progress: _Progress) -> list[str]:
         "milliseconds_a_frame": {
             "median": _rounded(np.median(milliseconds)),
             "percentile_90": _rounded(np.percentile(milliseconds, 90)),
-            "what": "wall time of a simulated frame: Blender's colliders, solver, cache",
+            "what": "wall time of a simulated frame: Blender's hands and colliders, solver, cache",
         },
         "volume_error": _rounded(result.volume_error, 6),
         "volume_error_of_exported_mesh": _rounded(surface.volume / volume - 1.0, 6),
@@ -206,6 +206,7 @@ def _load_kernels(device: str) -> None:
     import warp
 
     from ..solver import Material, Scene, Solver
+    from ..solver.default_hand import default_hand_rig
 
     warp.config.quiet = True
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.02
@@ -217,6 +218,7 @@ def _load_kernels(device: str) -> None:
     scene.add_clay_mesh(corners, faces, Material())
     scene.add_plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     scene.add_mesh(corners + np.array([0.0, 0.0, 0.03]), faces)
+    scene.add_hand(default_hand_rig(clay_spacing=0.005))
     Solver(scene, device=device).step(1.0 / 60.0)
 
 
@@ -227,8 +229,9 @@ def _save(path: Path) -> None:
 
 
 def _moments(frame_count: int) -> list[int]:
-    """Frames to show: hands come, press and push, pull apart; and what they leave."""
-    return [max(1, round(share * frame_count)) for share in (0.05, 0.40, 0.70, 1.0)]
+    """Frames to show: hands come, flatten and pinch, tear, push, press; and what they leave."""
+    shares = (0.05, 0.22, 0.35, 0.72, 0.93, 1.0)
+    return [max(1, round(share * frame_count)) for share in shares]
 
 
 # Contact sheet ---------------------------------------------------------------------------------

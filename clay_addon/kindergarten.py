@@ -2,28 +2,27 @@
 """The kindergarten scene: blocks of modelling clay on a table, and small hands that work them.
 
 After section V of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: 2,114 particles of coloured clay. One hand presses a block flat, two push two blocks
-together, and two more pull the head off a caterpillar. Suzanne watches.
+WHC 2021: 2,114 particles of coloured clay. A palm flattens a block, two fingers pinch the head off
+a caterpillar, two hands push two blocks together, and a finger presses a dent. Suzanne watches.
 
-All of it are ordinary objects with modifiers, shape keys and keyframes, to be changed by hand.
+All of it are ordinary objects with modifiers, armatures and keyframes, to be changed by hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from math import radians
 
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
-from numpy.typing import NDArray
 
 from ..solver.closed_mesh import mesh_volume
-from ..solver.hand_mesh import hand_mesh_in_poses
-from ..solver.hand_shape import POSES, HandPose, hand_shape
 from .collider import make_collider
+from .kindergarten_hands import add_hands
+from .kindergarten_parts import Vec3, mesh_object, plain_material
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh, transform
 
@@ -33,10 +32,6 @@ SPACING = 0.005
 """Distance between particles [m]."""
 FRAME_COUNT = 120
 FRAMES_PER_SECOND = 60
-HAND_LENGTH = 0.135
-"""From wrist to fingertip of a child of six [m]."""
-
-Vec3 = tuple[float, float, float]
 
 _SUZANNE_TILT = Matrix.Rotation(radians(-24.0), 4, "X")
 """Makes her look up."""
@@ -51,7 +46,7 @@ class Kindergarten:
     pieces: tuple[bpy.types.Object, ...]
     """The meshes it was made from, hidden."""
     hands: tuple[bpy.types.Object, ...]
-    """The hands, keyed colliders."""
+    """The right and the left clay hand, keyed."""
 
 
 @dataclass(frozen=True)
@@ -69,28 +64,6 @@ class _Piece:
     shape: Callable[[str], bpy.types.Object]
 
 
-@dataclass(frozen=True)
-class _Hand:
-    """A hand that moves along a path."""
-
-    name: str
-    side: str
-    poses: tuple[HandPose, ...]
-    """One pose, or two that `grip` mixes."""
-    forward: Vec3
-    """Where straight fingers point."""
-    back: Vec3
-    """Where the back of the hand looks."""
-    anchor: tuple[str, ...]
-    """The joints whose middle goes along the path."""
-    path: tuple[tuple[int, Vec3], ...]
-    """Frame, and where the anchor is [m]."""
-    grip: tuple[tuple[int, float], ...] = ()
-    """Frame, and share of the second pose."""
-    sleeve: Vec3 = (0.55, 0.52, 0.46)
-    """Linear RGB."""
-
-
 def build(context: bpy.types.Context) -> Kindergarten:
     """Build the scene into an empty Blender scene, ready to bake and to render.
 
@@ -106,8 +79,8 @@ def build(context: bpy.types.Context) -> Kindergarten:
     scene.unit_settings.length_unit = "CENTIMETERS"
     _add_table(context)
     pieces = tuple(_add_piece(context, piece) for piece in _PIECES)
-    hands = tuple(_add_hand(context, hand) for hand in _HANDS)
     clay = make_clay(context, pieces, SPACING, "plasticine", "Modelling clay")
+    hands = add_hands(context)
     _paint_eyes(clay, bpy.data.objects["Orange Suzanne"])
     _add_lights(context)
     _add_camera(context)
@@ -122,7 +95,7 @@ def build(context: bpy.types.Context) -> Kindergarten:
 def _add_piece(context: bpy.types.Context, piece: _Piece) -> bpy.types.Object:
     """Stand a piece on the table, scaled to hold exactly its number of particles."""
     item = piece.shape(piece.name)
-    item.data.materials.append(_material(piece.name, piece.color, 0.6))
+    item.data.materials.append(plain_material(piece.name, piece.color, 0.6))
     context.view_layer.update()
     vertices, triangles = evaluated_mesh(item, context.evaluated_depsgraph_get())
     factor = (piece.particle_count * SPACING**3 / mesh_volume(vertices, triangles)) ** (1 / 3)
@@ -130,15 +103,6 @@ def _add_piece(context: bpy.types.Context, piece: _Piece) -> bpy.types.Object:
     item.rotation_euler = (0.0, 0.0, radians(piece.turn))
     item.location = (*piece.place, -factor * float(vertices[:, 2].min()))
     context.view_layer.update()
-    return item
-
-
-def _mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.types.Object:
-    mesh = bpy.data.meshes.new(name)
-    mesh.from_pydata(np.asarray(vertices).tolist(), [], [list(face) for face in faces])
-    mesh.update()
-    item = bpy.data.objects.new(name, mesh)
-    bpy.context.collection.objects.link(item)
     return item
 
 
@@ -174,16 +138,16 @@ def _suzanne(name: str) -> bpy.types.Object:
     # Ears of a particle's thickness would break off: make her a little chubby.
     plump = item.modifiers.new("Chubby", "DISPLACE")
     plump.strength, plump.mid_level = 0.03, 0.0
-    _flatten_base(item, -0.31)
+    _flatten_base(item, -0.25)
     return _close(item, 0.02)
 
 
 def _caterpillar(name: str) -> bpy.types.Object:
     """A loaf of a body, a neck and a ball of a head, along Y with the head at -Y."""
     parts = (
-        ((0.0, 0.022, 0.0150), (0.0175, 0.0250, 0.0160)),
-        ((0.0, -0.008, 0.0095), (0.0085, 0.0140, 0.0085)),
-        ((0.0, -0.027, 0.0135), (0.0150, 0.0145, 0.0150)),
+        ((0.0, 0.024, 0.0150), (0.0175, 0.0250, 0.0160)),
+        ((0.0, -0.010, 0.0080), (0.0056, 0.0160, 0.0062)),
+        ((0.0, -0.031, 0.0135), (0.0150, 0.0145, 0.0150)),
     )
     items = []
     for center, radii in parts:
@@ -225,225 +189,27 @@ def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
 
 
 _PIECES = (
-    _Piece("Red block", 335, (0.62, 0.025, 0.020), (-0.096, -0.030), 4.0, partial(_block, cells=7)),
+    _Piece("Red block", 208, (0.62, 0.025, 0.020), (-0.106, 0.014), 4.0, partial(_block, cells=6)),
     _Piece(
-        "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0975, 0.055), 0.0, partial(_block, cells=6)
+        "Yellow block", 208, (0.87, 0.50, 0.020), (-0.0215, 0.045), 0.0, partial(_block, cells=6)
     ),
-    _Piece("Blue block", 208, (0.020, 0.13, 0.56), (-0.0545, 0.055), 0.0, partial(_block, cells=6)),
-    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.077, 0.034), 90.0, _caterpillar),
-    _Piece("Orange Suzanne", 854, (0.80, 0.17, 0.012), (0.004, -0.062), 0.0, _suzanne),
+    _Piece("Blue block", 208, (0.020, 0.13, 0.56), (0.0215, 0.045), 0.0, partial(_block, cells=6)),
+    _Piece("Green caterpillar", 392, (0.10, 0.42, 0.035), (0.074, -0.050), 90.0, _caterpillar),
+    _Piece("Orange Suzanne", 890, (0.80, 0.17, 0.012), (-0.040, -0.080), 0.0, _suzanne),
     _Piece(
-        "Violet block", 117, (0.20, 0.045, 0.36), (0.098, -0.056), 28.0, partial(_block, cells=5)
+        "Violet block", 208, (0.20, 0.045, 0.36), (0.115, 0.038), 12.0, partial(_block, cells=6)
     ),
 )
-
-
-# Hands -----------------------------------------------------------------------------------------
-
-_PRESSING = replace(
-    POSES["flat"],
-    index=(-2.0, 0.0, 2.0, 2.0),
-    middle=(0.0, 0.0, 2.0, 2.0),
-    ring=(2.0, 0.0, 2.0, 2.0),
-    little=(6.0, 0.0, 2.0, 2.0),
-    thumb=(-28.0, -10.0, 0.0, 4.0, 2.0),
-)
-_SPREAD = replace(
-    _PRESSING,
-    index=(-7.0, -8.0, 4.0, 2.0),
-    middle=(0.0, -8.0, 4.0, 2.0),
-    ring=(7.0, -8.0, 4.0, 2.0),
-    little=(14.0, -8.0, 4.0, 2.0),
-)
-_HOLDING = replace(_PRESSING, thumb=(-8.0, 24.0, 0.0, 4.0, 2.0))
-_PUSHING = replace(_PRESSING, little=(4.0, 0.0, 2.0, 2.0), thumb=(-24.0, -14.0, 0.0, 4.0, 2.0))
-_PINCHED = replace(
-    POSES["pinch"],
-    middle=(0.0, -8.0, 62.0, 34.0),
-    ring=(4.0, -10.0, 62.0, 34.0),
-    little=(9.0, -10.0, 58.0, 34.0),
-)
-_OPEN = replace(_PINCHED, index=(-6.0, 25.0, 52.0, 27.0), thumb=(14.0, 13.0, 50.0, 0.0, 0.0))
-
-_KNUCKLES = ("index_proximal", "middle_proximal", "ring_proximal", "middle_intermediate")
-_FINGERTIPS = ("thumb_tip", "index_tip")
-
-_HANDS = (
-    _Hand(
-        "Pressing hand",
-        "right",
-        (_SPREAD,),
-        forward=(1.0, -0.06, -0.30),
-        back=(0.0, 0.0, 1.0),
-        anchor=("index_intermediate", "middle_intermediate", "ring_intermediate"),
-        sleeve=(0.42, 0.10, 0.08),
-        path=(
-            (1, (-0.150, -0.010, 0.100)),
-            (16, (-0.102, -0.028, 0.047)),
-            (60, (-0.096, -0.030, 0.0185)),
-            (68, (-0.096, -0.030, 0.0185)),
-            (92, (-0.116, -0.020, 0.065)),
-            (120, (-0.330, 0.030, 0.150)),
-        ),
-    ),
-    _Hand(
-        "Pushing hand right",
-        "right",
-        (_PUSHING,),
-        forward=(0.10, -1.0, -0.16),
-        back=(-1.0, 0.0, 0.0),
-        anchor=_KNUCKLES,
-        sleeve=(0.10, 0.22, 0.30),
-        path=(
-            (1, (-0.156, 0.095, 0.052)),
-            (18, (-0.124, 0.057, 0.0385)),
-            (60, (-0.109, 0.057, 0.0385)),
-            (68, (-0.109, 0.057, 0.0385)),
-            (92, (-0.146, 0.075, 0.050)),
-            (120, (-0.166, 0.330, 0.160)),
-        ),
-    ),
-    _Hand(
-        "Pushing hand left",
-        "left",
-        (_PUSHING,),
-        forward=(-0.10, -1.0, -0.16),
-        back=(1.0, 0.0, 0.0),
-        anchor=_KNUCKLES,
-        sleeve=(0.10, 0.22, 0.30),
-        path=(
-            (1, (-0.012, 0.095, 0.052)),
-            (18, (-0.028, 0.057, 0.0385)),
-            (60, (-0.043, 0.057, 0.0385)),
-            (68, (-0.043, 0.057, 0.0385)),
-            (92, (-0.030, 0.085, 0.060)),
-            (120, (-0.045, 0.330, 0.160)),
-        ),
-    ),
-    _Hand(
-        "Holding hand",
-        "left",
-        (_HOLDING,),
-        forward=(0.06, -1.0, -0.30),
-        back=(0.0, 0.0, 1.0),
-        anchor=("middle_intermediate", "ring_intermediate"),
-        sleeve=(0.36, 0.13, 0.24),
-        path=(
-            (1, (0.058, 0.070, 0.080)),
-            (22, (0.041, 0.036, 0.0340)),
-            (34, (0.041, 0.036, 0.0290)),
-            (94, (0.041, 0.036, 0.0290)),
-            (104, (0.044, 0.044, 0.050)),
-            (120, (0.085, 0.330, 0.170)),
-        ),
-    ),
-    _Hand(
-        "Pinching hand",
-        "left",
-        (_OPEN, _PINCHED),
-        forward=(-0.30, -0.92, -0.26),
-        back=(0.0, 0.0, 1.0),
-        anchor=_FINGERTIPS,
-        sleeve=(0.55, 0.36, 0.10),
-        path=(
-            (1, (0.118, 0.060, 0.070)),
-            (26, (0.087, 0.034, 0.014)),
-            (42, (0.086, 0.034, 0.013)),
-            (88, (0.135, 0.030, 0.014)),
-            (94, (0.135, 0.030, 0.014)),
-            (104, (0.140, 0.040, 0.055)),
-            (120, (0.200, 0.330, 0.170)),
-        ),
-        grip=((26, 0.0), (42, 1.0), (88, 1.0), (96, 0.0)),
-    ),
-)
-
-
-def _add_hand(context: bpy.types.Context, hand: _Hand) -> bpy.types.Object:
-    """Add a hand as a keyed collider."""
-    forms, faces = hand_mesh_in_poses(hand.poses, hand.side, length=HAND_LENGTH)
-    item = _mesh_object(hand.name, forms[0], faces)
-    item.data.shade_smooth()
-    item.data.materials.append(_hand_material())
-    if len(forms) > 1:
-        item.shape_key_add(name="Open")
-        closed = item.shape_key_add(name="Closed")
-        closed.data.foreach_set("co", np.asarray(forms[1], np.float32).ravel())
-        for frame, value in hand.grip:
-            closed.value = value
-            closed.keyframe_insert("value", frame=frame)
-    back = Vector(hand.back)
-    forward = Vector(hand.forward).normalized()
-    side = forward.cross(back).normalized()
-    turn = Matrix((side, forward, side.cross(forward))).transposed()
-    item.rotation_euler = turn.to_euler()
-    joints = [
-        hand_shape(hand.side, length=HAND_LENGTH, pose=hand.poses[-1]).joints[name]
-        for name in hand.anchor
-    ]
-    anchor = turn @ Vector(np.mean(joints, axis=0).tolist())
-    for frame, place in hand.path:
-        item.location = Vector(place) - anchor
-        item.keyframe_insert("location", frame=frame)
-    _add_sleeve(item, hand)
-    context.scene.frame_set(context.scene.frame_current)
-    return make_collider(item, "MESH", 0.5)
-
-
-_CUFF = (
-    (-0.034, 0.000), (-0.016, 0.001), (-0.012, 0.0035), (-0.015, 0.0065),
-    (-0.034, 0.0075), (-0.039, 0.0055), (-0.044, 0.0060), (-0.120, 0.010), (-0.450, 0.018),
-)  # fmt: skip
-"""Profile of a sleeve: way along the arm, and distance to the wrist's skin [m]."""
-
-
-def _add_sleeve(item: bpy.types.Object, hand: _Hand) -> None:
-    """Dress the wrist; the sleeve goes with the hand and does not touch the clay."""
-    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    rings = [
-        np.stack(
-            [(0.028 + gap) * np.cos(angle), np.full(24, way), (0.0185 + gap) * np.sin(angle)],
-            axis=1,
-        )
-        for way, gap in _CUFF
-    ]
-    vertices = np.concatenate(rings) * (HAND_LENGTH / 0.19)
-    faces = [
-        (24 * ring + n, 24 * ring + (n + 1) % 24, 24 * ring + 24 + (n + 1) % 24, 24 * ring + 24 + n)
-        for ring in range(len(rings) - 1)
-        for n in range(24)
-    ]
-    sleeve = _mesh_object(f"{hand.name}, sleeve", vertices, faces)
-    sleeve.data.shade_smooth()
-    sleeve.modifiers.new("Soft", "SUBSURF").levels = 1
-    name = f"Cloth {hand.sleeve}"
-    sleeve.data.materials.append(bpy.data.materials.get(name) or _material(name, hand.sleeve, 0.9))
-    sleeve.parent = item
 
 
 # Table, light and camera -----------------------------------------------------------------------
 
 
-def _material(name: str, color: Vec3, roughness: float) -> bpy.types.Material:
-    material = bpy.data.materials.new(name)
-    if bpy.app.version < (5, 0, 0):
-        material.use_nodes = True
-    shader = material.node_tree.nodes["Principled BSDF"]
-    shader.inputs["Base Color"].default_value = (*color, 1.0)
-    shader.inputs["Roughness"].default_value = roughness
-    material.diffuse_color = (*color, 1.0)
-    return material
-
-
-def _hand_material() -> bpy.types.Material:
-    return bpy.data.materials.get("Hand") or _material("Hand", (0.58, 0.35, 0.24), 0.5)
-
-
 def _add_table(context: bpy.types.Context) -> None:
     """Add a wooden table top: to the clay an endless plane."""
     corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-    top = _mesh_object("Table", 0.6 * corners, [(0, 1, 2, 3)])
-    material = _material("Wood", (0.60, 0.40, 0.22), 0.38)
+    top = mesh_object("Table", 0.6 * corners, [(0, 1, 2, 3)])
+    material = plain_material("Wood", (0.60, 0.40, 0.22), 0.38)
     tree = material.node_tree
     place = tree.nodes.new("ShaderNodeTexCoord")
     stretch = tree.nodes.new("ShaderNodeMapping")
@@ -462,7 +228,7 @@ def _add_table(context: bpy.types.Context) -> None:
     tree.links.new(grain.outputs[0], tint.inputs["Fac"])
     tree.links.new(tint.outputs["Color"], shader.inputs["Base Color"])
     top.data.materials.append(material)
-    make_collider(top, "PLANE", 0.6)
+    make_collider(top, "PLANE", 0.8)
 
 
 def _add_lights(context: bpy.types.Context) -> None:
@@ -489,8 +255,8 @@ def _add_camera(context: bpy.types.Context) -> None:
     camera = bpy.data.cameras.new("Camera")
     camera.lens = 50.0
     item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.012, -0.425, 0.285)
-    target = Vector((0.010, 0.012, 0.016))
+    item.location = (0.020, -0.415, 0.315)
+    target = Vector((0.020, 0.000, 0.010))
     item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
     context.collection.objects.link(item)
     context.scene.camera = item

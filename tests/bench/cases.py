@@ -230,7 +230,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
 
 
 def kindergarten(settings: Settings, device: str) -> Run:
-    """The kindergarten scene with its hands, from the frame on where they touch the clay."""
+    """The kindergarten scene with its two soft hands, from where they touch the clay."""
     import bpy
 
     from tactile_clay.clay_addon import kindergarten, register
@@ -276,7 +276,7 @@ CASES: tuple[Case, ...] = (
     Case("wheel", "dome on a wheel at 100 rpm, a ball pressed 4 mm in", turn_wheel, 10.0),
     Case(
         "kindergarten",
-        "kindergarten, five hands",
+        "kindergarten, two hands",
         kindergarten,
         5.0,
         missing=without_blender,

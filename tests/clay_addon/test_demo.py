@@ -41,6 +41,12 @@ for frame in (scene.frame_start, scene.frame_end):
     )
     assert len(mesh.polygons) > 1000
     shapes.append([corner for vertex in mesh.vertices for corner in vertex.co])
+wrists = []
+for frame in (scene.frame_start, scene.frame_end):
+    scene.frame_set(frame)
+    hand = bpy.data.objects["Right hand"].evaluated_get(bpy.context.evaluated_depsgraph_get())
+    wrists.append(hand.matrix_world @ hand.data.vertices[0].co)
+assert (wrists[0] - wrists[1]).length > 0.001
 print("frames", scene.frame_start, scene.frame_end, scene.render.fps, shapes[0] != shapes[1])
 sys.stdout.flush()
 os._exit(0)
@@ -106,7 +112,7 @@ def test_exported_meshes_are_closed_and_colored(
 def test_blend_plays_without_the_extension(
     made: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Open the .blend where the extension is not registered: the clay is there, and moves."""
+    """Open the .blend where the extension is not registered: clay and hands move."""
     result = run(PLAYBACK, str(made[0] / "kindergarten.blend"))
     assert "frames 1 4 60 True" in result.stdout, result.stdout + result.stderr
 
