@@ -5,7 +5,6 @@ A surface net of the hand's signed distance, relaxed along that surface and proj
 is the mesh.
 """
 
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from .hand_proportions import AVERAGE, REFERENCE_LENGTH, HandProportions
 from .hand_shape import HandPose, named_pose, reference_shape, scale_factors
 from .hand_skin import skin_distance
-from .hand_weights import BONE_NAMES, bone_weights
-from .surface_net import surface_net, to_surface
+from .surface_net import surface_net
 
-__all__ = ["hand_mesh", "hand_mesh_in_poses"]
+__all__ = ["hand_mesh"]
 
 Array = NDArray[np.float64]
 
@@ -62,48 +60,3 @@ def hand_mesh(
     if factor[0] < 0.0:
         faces = faces[:, ::-1]
     return vertices * factor, np.ascontiguousarray(faces)
-
-
-def hand_mesh_in_poses(
-    poses: Sequence[str | HandPose],
-    side: str = "right",
-    *,
-    length: float = REFERENCE_LENGTH,
-    edge_length: float | None = None,
-) -> tuple[list[Array], NDArray[np.int32]]:
-    """Mesh a hand once and bend that mesh into each of several poses.
-
-    The mesh is made in the first pose; it follows the bones into the others and is laid onto the
-    skin there. It keeps its triangles, so the poses can be mixed, for example as shape keys.
-
-    Args:
-        poses: Names in POSES, or joint angles; not too far apart, or skin folds at the knuckles.
-        side: As for `hand_mesh`.
-        length: As for `hand_mesh` [m].
-        edge_length: As for `hand_mesh` [m].
-
-    Returns:
-        The vertices in each pose [m], shape [V, 3], and the triangles of all, shape [F, 3].
-
-    Raises:
-        ValueError: As for `hand_mesh`, or there is no pose.
-    """
-    if not poses:
-        raise ValueError("Give at least one pose.")
-    factor = scale_factors(side, length)
-    vertices, faces = hand_mesh(side, length=length, pose=poses[0], edge_length=edge_length)
-    first = reference_shape(named_pose(poses[0]))
-    rest = vertices / factor
-    weights = bone_weights(rest, first)
-    result = [vertices]
-    for pose in poses[1:]:
-        shape = reference_shape(named_pose(pose))
-        bent = np.zeros_like(rest)
-        for bone, weight in zip(BONE_NAMES, weights.T, strict=True):
-            turn = shape.axes[bone] @ first.axes[bone].T
-            moved = (rest - first.joints[bone]) @ turn.T + shape.joints[bone]
-            bent += weight[:, None] * moved
-        for _ in range(3):
-            bent = bent + to_surface(partial(skin_distance, shape=shape), bent, 0.003)
-        result.append(bent * factor)
-    return result, faces

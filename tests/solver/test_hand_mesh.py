@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_clay.solver.hand_mesh import hand_mesh, hand_mesh_in_poses
+from tactile_clay.solver.hand_mesh import hand_mesh
 from tactile_clay.solver.hand_proportions import JOINT_NAMES
 from tactile_clay.solver.hand_shape import POSES, HandPose, hand_shape
 
@@ -159,22 +159,6 @@ def test_any_joint_angles_give_a_closed_hand() -> None:
     assert hand.is_watertight and hand.volume > 300e-6
 
 
-def test_one_mesh_bends_into_other_poses() -> None:
-    """Keep the triangles from pose to pose, on the skin of each."""
-    poses = ["flat", "relaxed"]
-    (flat, relaxed), faces = hand_mesh_in_poses(poses, "left", length=0.15)
-    alone, alone_faces = hand_mesh("left", length=0.15, pose="flat")
-    np.testing.assert_array_equal(flat, alone)
-    np.testing.assert_array_equal(faces, alone_faces)
-    bent = trimesh.Trimesh(relaxed, faces, process=False)
-    straight = mesh_of(side="left", length=0.15, pose="relaxed")
-    assert bent.is_watertight
-    assert bent.volume == pytest.approx(straight.volume, rel=0.01)
-    tips = [hand_shape("left", length=0.15, pose=pose).joints["middle_tip"] for pose in poses]
-    assert np.linalg.norm(relaxed - tips[1], axis=1).min() < 0.007
-    assert np.linalg.norm(relaxed - tips[0], axis=1).min() > 0.020
-
-
 @pytest.mark.parametrize("edge_length", [0.003, 0.005])
 def test_edge_length_sets_the_triangles(edge_length: float) -> None:
     """Follow the edge length asked for."""
@@ -197,9 +181,3 @@ def test_bad_input_is_refused_with_what_is_wrong(options: dict, words: str) -> N
     """Say what is wrong and what would be right."""
     with pytest.raises(ValueError, match=words):
         hand_mesh(**options)
-
-
-def test_no_pose_is_refused() -> None:
-    """Ask for a pose when none is given."""
-    with pytest.raises(ValueError, match="at least one pose"):
-        hand_mesh_in_poses([])
