@@ -55,7 +55,7 @@ class Settings:
 
 
 QUALITIES = {
-    "draft": Settings(iterations=2),
+    "draft": Settings(substeps=2, iterations=4),
     "live": Settings(),
     "film": Settings(substeps=16),
 }
