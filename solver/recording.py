@@ -17,45 +17,64 @@ from .processors import helper_thread, processor_count
 
 MOST_RECORDINGS = 64
 """Recordings kept; the oldest goes first."""
+TRIAL_START = 24
+"""Replays of a recording before both ways are tried: many recordings are not used that often."""
 TRIAL_RUNS = 6
 """How often a recording is tried by one thread and by two, to see which is faster."""
 TRIAL_INTERVAL = 400
 """Replays after which both are tried again."""
 
 
+_Record = Callable[[Callable[[], None], int | None], wp.Graph]
+
+
 class _Recording:
     """One sequence, to be replayed by one thread or by two, whichever is faster here and now.
 
-    A second processor that others keep busy makes two threads slower than one.
+    A second processor that others keep busy makes two threads slower than one. Each way is recorded
+    when it is first gone: recording costs more than launching.
+
+    Args:
+        record: Records what a function launches, for a part alone or for all.
+        way: Threads less one to begin with; None where there is only one.
     """
 
-    def __init__(self, alone: wp.Graph, side_by_side: list[wp.Graph]) -> None:
-        self._alone = alone
-        self._side_by_side = side_by_side
+    def __init__(self, record: _Record, way: int | None) -> None:
+        self._record = record
+        self._graphs: dict[int | None, wp.Graph] = {}
+        self.way = way
         self._seconds = [math.inf, math.inf]
         self._runs = 0
 
-    def replay(self) -> None:
-        """Run it."""
-        if not self._side_by_side:
-            wp.capture_launch(self._alone)
+    def _graph(self, part: int | None, launch: Callable[[], None]) -> wp.Graph:
+        if part not in self._graphs:
+            self._graphs[part] = self._record(launch, part)
+        return self._graphs[part]
+
+    def replay(self, launch: Callable[[], None]) -> None:
+        """Do what ``launch`` launches."""
+        if self.way is None:
+            wp.capture_launch(self._graph(None, launch))
             return
-        # Now and then the slower way gets a trial: others may have come or gone.
-        trial = self._runs % TRIAL_INTERVAL
-        faster = int(self._seconds[1] < self._seconds[0])
+        # Now and then both ways are tried: others may have come or gone.
+        trial = (self._runs - TRIAL_START) % TRIAL_INTERVAL
+        tries = self._runs >= TRIAL_START and trial < 2 * TRIAL_RUNS
         if trial == 0:
             self._seconds = [math.inf, math.inf]
-        way = int(trial >= TRIAL_RUNS) if trial < 2 * TRIAL_RUNS else faster
+        way = int(trial >= TRIAL_RUNS) if tries else self.way
         self._runs += 1
+        graphs = [self._graph(part, launch) for part in ((0, 1) if way else (None,))]
         begin = time.perf_counter()
-        if way == 0:
-            wp.capture_launch(self._alone)
-        else:
-            other = helper_thread().submit(wp.capture_launch, self._side_by_side[1])
-            wp.capture_launch(self._side_by_side[0])
+        if way:
+            other = helper_thread().submit(wp.capture_launch, graphs[1])
+            wp.capture_launch(graphs[0])
             other.result()
-        if trial < 2 * TRIAL_RUNS:
+        else:
+            wp.capture_launch(graphs[0])
+        if tries:
             self._seconds[way] = min(self._seconds[way], time.perf_counter() - begin)
+            if trial == 2 * TRIAL_RUNS - 1:
+                self.way = int(self._seconds[1] < self._seconds[0])
 
 
 class Recordings:
@@ -71,7 +90,8 @@ class Recordings:
 
     def __init__(self, particles: Particles, *, by_part: bool = True) -> None:
         self.particles = particles
-        self._side_by_side = by_part and particles.parts == 2 and processor_count() > 1
+        side_by_side = by_part and particles.parts == 2 and processor_count() > 1
+        self._way: int | None = 1 if side_by_side else None
         self._recordings: dict[Hashable, _Recording] = {}
         self._seen: set[Hashable] = set()
 
@@ -85,14 +105,12 @@ class Recordings:
                 self._seen.add(key)
                 launch()
                 return
-            parts = (0, 1) if self._side_by_side else ()
-            recording = _Recording(
-                self._record(launch, None), [self._record(launch, part) for part in parts]
-            )
             if len(self._recordings) >= MOST_RECORDINGS:
                 del self._recordings[next(iter(self._recordings))]
-            self._recordings[key] = recording
-        recording.replay()
+            recording = self._recordings[key] = _Recording(self._record, self._way)
+        recording.replay(launch)
+        # What is recorded next begins with what has been found to be faster.
+        self._way = recording.way
 
     def _record(self, launch: Callable[[], None], part: int | None) -> wp.Graph:
         with (

@@ -46,6 +46,7 @@ def test_two_threads_give_the_bits_of_one(monkeypatch: pytest.MonkeyPatch) -> No
     results = []
     for threads in (1, 2):
         monkeypatch.setattr(recording, "processor_count", lambda count=threads: count)
+        monkeypatch.setattr(recording, "TRIAL_START", 4)
         monkeypatch.setattr(recording, "TRIAL_INTERVAL", 16)
         scene = Scene(SPACING)
         scene.add_clay(block(12, SPACING), Material())
