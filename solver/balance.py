@@ -88,7 +88,7 @@ class Balance:
 
     def __init__(self, particles: Particles) -> None:
         self.particles = particles
-        self._asleep: NDArray[np.bool_] | None = None
+        self._generation = -1
         self._piece = np.zeros(0, int)
         self._support = np.zeros((0, 3))
         self._mass = np.zeros(0)
@@ -117,8 +117,9 @@ class Balance:
         occupied = asleep & np.isfinite(regions.boxes[:, 0, 0])
         if not occupied.any() or asleep.all():
             return np.zeros(count, bool)
-        if self._asleep is None or not np.array_equal(self._asleep, asleep):
-            self._asleep = asleep.copy()
+        if self._generation != regions.generation:
+            # What sleeps neither moves nor presses otherwise until then.
+            self._generation = regions.generation
             self._piece = self._pieces(regions, occupied)
             self._sum_support(regions, pairs, contacts)
         force = wp.zeros(count, dtype=wp.vec3, device=device)

@@ -13,8 +13,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-_CUBE = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-
 
 @dataclass(frozen=True)
 class Tetrahedra:

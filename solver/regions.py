@@ -90,6 +90,8 @@ class Regions:
         device = particles.device
         self.region = wp.zeros(particles.count, dtype=int, device=device)
         self._awake = np.ones(particles.count, bool)
+        self.generation = 0
+        """Changes whenever regions are laid out anew, fall asleep or wake."""
         self.lay_out()
 
     @property
@@ -105,6 +107,7 @@ class Regions:
             must wake before `set_asleep`.
         """
         particles = self.particles
+        self.generation += 1
         low, high = particles.box()
         extent = np.maximum(high.astype(float) - low, 1e-9)
         edge = EDGE * particles.spacing
@@ -238,6 +241,7 @@ class Regions:
         self.travel[asleep] = 0.0
         self.speed[asleep] = 0.0
         self.asleep = asleep
+        self.generation += 1
         self._awake = ~asleep[self.region.numpy()]
         self.particles.set_awake(np.flatnonzero(self._awake))
         self._find_awake_box()
@@ -264,6 +268,7 @@ class Regions:
 
     def restore(self, state: dict[str, NDArray]) -> None:
         """Take up the state that `snapshot` gave."""
+        self.generation += 1
         self._awake = state["region_awake"].copy()
         self.region.assign(state["region_of_particle"])
         self.shape = tuple(int(n) for n in state["region_shape"])
