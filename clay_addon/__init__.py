@@ -25,6 +25,7 @@ _MODULES = (
     "touch_sensitivity",
     "touch_record",
     "touch_overlay",
+    "sculpt.properties",
     "command_line",
     "panel",
     "touch_panel",
