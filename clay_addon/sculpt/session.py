@@ -147,12 +147,10 @@ class SculptSession:
         except SimulationError as error:
             self._worker.close()
             raise SculptError(str(error)) from error
-        self.autosave = Autosave(context.scene)
+        self.autosave = Autosave()
         self._touch = LiveTouch()
         self._closing.enter_context(paused())
         self._closing.enter_context(own_touch())
-        self.first = clay_state(context.scene)
-        """The clay of each object as it was at the start."""
 
     # What others ask ----------------------------------------------------------------------------
 
@@ -321,6 +319,13 @@ class SculptSession:
         push_undo(message)
         self.autosave.begin(scene)
 
+    def before_saving(self, context: bpy.types.Context) -> None:
+        """Blender is about to save: what is shown is what a bake of the saved file starts from."""
+        for part in self.simulation.parts:
+            item = context.scene.objects.get(part.name)
+            if item is not None and self._changed:
+                keep_sculpted(item)
+
     def undone(self) -> None:
         """Blender has undone or redone something: take up what it came to at the next tick."""
         self._taken_back = True
@@ -402,6 +407,36 @@ class SculptSession:
 
 current: SculptSession | None = None
 """The session that runs; None while there is none."""
+
+
+first: dict[str, tuple[NDArray, NDArray]] = {}
+"""Points and colours of each clay object, by name, as the last session found them."""
+
+
+def start(context: bpy.types.Context, tools: Tools | None = None) -> SculptSession:
+    """Start the session of a scene.
+
+    Raises:
+        SculptError: One runs already, or the scene cannot be sculpted.
+    """
+    global current, first
+    if current is not None:
+        raise SculptError("Sculpting goes on already. Press Esc or Finish to end it.")
+    current = SculptSession(context, tools=tools)
+    first = clay_state(context.scene)
+    return current
+
+
+def stop(context: bpy.types.Context | None) -> None:
+    """End the session that runs, if one does, and keep what is shown.
+
+    Args:
+        context: None where Blender's data is no longer the session's.
+    """
+    global current
+    ended, current = current, None
+    if ended is not None:
+        ended.finish(context)
 
 
 def clay_state(scene: bpy.types.Scene) -> dict[str, tuple[NDArray, NDArray]]:
