@@ -33,6 +33,8 @@ _MODULES = (
     "tracking.live",
     "tracking.operators",
     "tracking.panel",
+    "sculpt.autosave",
+    "sculpt.operators",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sculpting clay live: the session, its mouse and tablet tools, and what is drawn meanwhile."""
+"""Sculpting live: a session in which clay moves under tracked hands and the mouse."""
