@@ -195,6 +195,9 @@ class Brush:
         if pointer is None or event.type in _MOVES or event.value != "PRESS":
             return False
         self._refresh()
+        if event.type == "SPACE" and event.shift:
+            open_tool_menu()
+            return True
         if self._settings.tool.identifier == "NONE":
             return False
         if event.type == "LEFTMOUSE":
@@ -246,6 +249,24 @@ class Brush:
             self._source.write("radius", max(self._settings.radius * factor, LEAST_RADIUS))
             return True
         return False
+
+    def status_text(self) -> str:
+        """What keys and buttons do at the moment, for the status bar."""
+        if self._adjustment is not None:
+            return "Left mouse: confirm   Right mouse: cancel   Shift: finely"
+        tool = self._settings.tool
+        if self._held and tool.path == "pinch":
+            return "Wheel or Shift: pull away from the surface   Esc: let go"
+        if self._held and tool.edit is None and tool.path != "view":
+            return "Wheel: deeper or less deep   Esc: let go"
+        parts = []
+        if tool.identifier != "NONE":
+            parts.append(f"Left mouse: {tool.label}")
+            if tool.edit in ("add", "remove"):
+                parts.append("Ctrl: " + ("take away" if tool.edit == "add" else "add"))
+            parts.append("F, [ ]: radius")
+            parts.append("Shift F: strength")
+        return "   ".join((*parts, "Shift Space: tools", "Esc: finish"))
 
     def _adjust(self, context: Any, event: Any) -> bool:
         adjustment = self._adjustment
@@ -390,6 +411,13 @@ class Brush:
         if self._made is None or self._made[0] != key:
             self._made = (key, tool_parts(self._settings), self._settings.radius)
         return self._made[1], self._made[2]
+
+
+def open_tool_menu() -> None:
+    """Show all tools at the mouse, where Blender's toolbar pops up too."""
+    import bpy
+
+    bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")
 
 
 def _thinned(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .tools import BY_IDENTIFIER, Tool
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class ToolMesh:
     """A closed mesh that works the clay, in its own coordinates."""
 
@@ -23,7 +23,7 @@ class ToolMesh:
     """Coulomb friction coefficient."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BrushSettings:
     """What a brush is set to."""
 

@@ -75,7 +75,7 @@ class Source:
         """What is set now."""
         return self.settings
 
-    def write(self, name: str, value: float) -> None:
+    def write(self, name: str, value: Any) -> None:
         """Set the radius or strength."""
         self.settings = replace(self.settings, **{name: value})
 
