@@ -10,12 +10,12 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ...solver.closed_mesh import MeshError, check_closed_mesh
-from ..mesh_geometry import evaluated_mesh
 from ..simulation import clay_objects
+from ..tool_presets import ToolPreset, ToolPresetError
+from ..tool_stamp import stamp_from_object
 from . import session
 from .adjust import Adjusted
-from .settings import BrushSettings, ToolMesh
+from .settings import BrushSettings
 from .tools import BY_IDENTIFIER, tool_items
 
 _RADIUS = 0.012
@@ -105,7 +105,7 @@ class SceneSource:
 
     def __init__(self, scene: bpy.types.Scene) -> None:
         self._name = scene.name
-        self._stamp: tuple[str, ToolMesh | None] = ("", None)
+        self._stamp: tuple[str, ToolPreset | None] = ("", None)
         self._last = BrushSettings()
 
     def read(self) -> BrushSettings:
@@ -140,15 +140,16 @@ class SceneSource:
                 value /= scene.unit_settings.scale_length
             setattr(scene.tactile_clay_sculpt, name, value)
 
-    def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolMesh | None]:
+    def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolPreset | None]:
         if item is None or item.type != "MESH":
             return "", None
         key = _stamp_key(item)
         if key != self._stamp[0]:
             try:
-                self._stamp = (key, stamp_mesh(item, bpy.context.evaluated_depsgraph_get()))
+                preset = stamp_from_object(item, bpy.context.evaluated_depsgraph_get())
+                self._stamp = (key, preset)
                 _stamp_faults.pop(key, None)
-            except StampError as error:
+            except ToolPresetError as error:
                 # The stamp that comes along serves meanwhile.
                 self._stamp = (key, None)
                 _stamp_faults[key] = str(error)
@@ -168,37 +169,6 @@ def stamp_fault(item: bpy.types.Object | None) -> str:
     if item is None or item.type != "MESH":
         return ""
     return _stamp_faults.get(_stamp_key(item), "")
-
-
-class StampError(Exception):
-    """An object cannot be a stamp; the message says why and what to do."""
-
-
-def stamp_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ToolMesh:
-    """An object's mesh as a stamp: as wide as the brush, its underside at the tip.
-
-    Args:
-        item: A closed mesh; what looks down its own -Z is pressed into the clay.
-        depsgraph: The evaluated scene.
-
-    Returns:
-        The mesh in brush radii.
-
-    Raises:
-        StampError: The mesh is open or has no width.
-    """
-    vertices, triangles = evaluated_mesh(item, depsgraph)
-    try:
-        points, faces = check_closed_mesh(vertices, triangles, name=repr(item.name))
-    except MeshError as error:
-        raise StampError(str(error)) from error
-    points = points * np.array(item.matrix_world.to_scale())
-    low, high = points.min(0), points.max(0)
-    wide = float((high - low)[:2].max())
-    if wide <= 0.0:
-        raise StampError(f"{item.name!r} has no width, so it cannot be a stamp.")
-    points = points - np.array([*(0.5 * (low + high))[:2], low[2]])
-    return ToolMesh(points * (2.0 / wide), faces)
 
 
 def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tool_presets import ToolPreset
 from .tools import BY_IDENTIFIER, Tool
 
 
@@ -45,8 +46,8 @@ class BrushSettings:
     """Distance of neighbouring particles [m]."""
     scale: float = 1.0
     """Metres in a Blender unit."""
-    stamp: ToolMesh | None = None
-    """What the user stamps with, in brush radii; None for the stamp that comes along."""
+    stamp: ToolPreset | None = None
+    """What the user stamps with; None for the stamp that comes along."""
     stamp_key: str = ""
     """Tells stamps apart."""
 
