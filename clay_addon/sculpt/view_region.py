@@ -102,7 +102,7 @@ def _on_gizmo(context: Any, area: Any, region: Any, x: int, y: int) -> bool:
             and (other.alignment == "TOP")
         ):
             top = min(top, other.y)
-    size = (preferences.view.gizmo_size_navigate_3d + 2 * _GIZMO_MARGIN) * scale
+    size = (preferences.view.gizmo_size_navigate_v3d + 2 * _GIZMO_MARGIN) * scale
     if x >= right - size and y >= top - size:
         return True
     column = (_BUTTON + 2 * _GIZMO_MARGIN) * scale

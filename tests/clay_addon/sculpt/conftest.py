@@ -115,7 +115,7 @@ class Mouse:
             window=SimpleNamespace(screen=SimpleNamespace(areas=[self.area])),
             scene=SimpleNamespace(unit_settings=SimpleNamespace(scale_length=1.0)),
             preferences=SimpleNamespace(
-                view=SimpleNamespace(mini_axis_type="GIZMO", gizmo_size_navigate_3d=80),
+                view=SimpleNamespace(mini_axis_type="GIZMO", gizmo_size_navigate_v3d=80),
                 system=SimpleNamespace(ui_scale=1.0),
             ),
         )
