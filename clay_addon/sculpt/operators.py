@@ -10,6 +10,7 @@ from ..clay_points import keep_sculpted, replace_points
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
+from .properties import SceneSource
 from .session import SculptError, SculptSession
 
 _TICK_SECONDS = 1.0 / 120.0
@@ -96,7 +97,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 "and takes about a minute"
             )
         else:
-            text = self._brush.status_text()
+            text = self._brush.settings.tool.label
         if context.workspace:
             context.workspace.status_text_set(text)
 

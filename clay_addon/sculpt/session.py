@@ -34,6 +34,7 @@ from ..simulation import (
     solver_device,
 )
 from .autosave import Autosave
+from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
 from .live_touch import LiveTouch
 from .pace import Pace
@@ -43,6 +44,7 @@ from .undo_states import UndoStates
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider
+    from .edits import Edit
 
 _SETTLE_SECONDS = 0.4
 """Hands that have let go of the clay for this long have ended a stroke [s]."""
@@ -82,6 +84,9 @@ class Tools(Protocol):
     def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
         """Where each mesh is after so many seconds, and whether the clay feels it."""
 
+    def take_edits(self) -> Sequence[Edit]:
+        """What to do to the clay beside that, since the last call."""
+
 
 class NoTools:
     """Nothing in the mouse: tracked hands and colliders only."""
@@ -94,6 +99,10 @@ class NoTools:
         return ()
 
     def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
+        """None."""
+        return ()
+
+    def take_edits(self) -> Sequence[Edit]:
         """None."""
         return ()
 
@@ -220,6 +229,12 @@ class SculptSession:
             stepped = None
             if self._changed:
                 self.keep(scene, "Sculpt Clay")
+        edits = self.tools.take_edits()
+        if edits:
+            if stepped is not None:
+                self._show(scene, stepped)
+            self._edit(context, edits)
+            return True
         duration = self.pace.next(self._clock())
         if duration:
             self._begin_step(context, duration)
@@ -246,6 +261,14 @@ class SculptSession:
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
         self._worker.begin(partial(step, solver, duration, hands, self._colliders))
+
+    def _edit(self, context: bpy.types.Context, edits: Sequence[Edit]) -> None:
+        """Add clay, take some away or paint it; a solver is built where particles came or went."""
+        scene = context.scene
+        clay = [scene.objects[part.name] for part in self.simulation.parts]
+        if edit_clay(context, clay, edits):
+            self._changed = True
+            self._touched_at = self._clock()
 
     def _look_at(self, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""
@@ -331,7 +354,7 @@ class SculptSession:
         self._taken_back = True
 
     def _take_back(self, context: bpy.types.Context) -> None:
-        self._taken_back = False
+        self._taken_back = self._changed = False
         self._begin_build(context, state=self.undo.state(context.scene))
 
     # Building -----------------------------------------------------------------------------------
@@ -358,7 +381,6 @@ class SculptSession:
             collider.set_enabled(False)
             self._colliders.append(collider)
         self.positions = self._kept = np.concatenate(simulation.rest)
-        self._changed = False
 
         def build() -> Stepped:
             simulation.build(prepared, self._device)

@@ -15,6 +15,7 @@ from tactile_clay.clay_addon import playback
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.clay_points import is_sculpted
 from tactile_clay.clay_addon.sculpt import session as sessions
+from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.session import SculptError, SculptSession
 
 
@@ -37,6 +38,7 @@ class Finger:
     stroking: bool = False
     mesh_key: Any = "ball"
     poses_asked: list[float] = field(default_factory=list)
+    edits: list[Edit] = field(default_factory=list)
 
     def meshes(self) -> list[Ball]:
         """One ball of a centimetre."""
@@ -49,6 +51,12 @@ class Finger:
         pose = np.eye(4)
         pose[2, 3] = self.height
         return [(pose, self.enabled)]
+
+
+    def take_edits(self) -> list[Edit]:
+        """What the test asks for."""
+        edits, self.edits = self.edits, []
+        return edits
 
 
 class Clock:
@@ -227,6 +235,34 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     assert sessions.current is None
     assert not list(tmp_path.glob("*autosave*"))
     assert playback._pauses == 0
+
+
+def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
+    """Change the number of particles and their colours, and go on simulating."""
+    clay = studio.scene.objects["Clay"]
+    sculpting.run(0.1)
+    blue = (0.0, 0.0, 1.0, 1.0)
+    sculpting.finger.edits = [Edit("add", (0.0, 0.0, 0.06), 0.02, color=blue)]
+    sculpting.run(0.2)
+    added = len(clay.data.points) - 64
+    # A ball that partly lies in the block.
+    assert 10 < added < 34
+    assert sum(part.count for part in sculpting.session.simulation.parts) == 64 + added
+    assert is_sculpted(clay) is False
+    sculpting.run(0.6)
+    # It is kept like a stroke.
+    assert is_sculpted(clay)
+    sculpting.finger.edits = [
+        Edit("paint", (0.0, 0.0, 0.0), 0.01, color=blue),
+        Edit("remove", (0.0, 0.0, 0.06), 0.025),
+    ]
+    sculpting.run(0.2)
+    assert len(clay.data.points) < 64 + added
+    sculpting.finger.edits = [Edit("remove", (0.0, 0.0, 0.0), 1.0)]
+    sculpting.run(0.1)
+    # The last clay of an object is not taken away.
+    assert len(clay.data.points) > 0
+    assert len(clay.data.attributes["rest_position"].data) == len(clay.data.points)
 
 
 def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
