@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.sculpt.tools import TOOLS
-
-from .conftest import SPACING, TICK, Mouse
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import SPACING, TICK, Mouse
 
 TOUCHING = [tool.identifier for tool in TOOLS if tool.path != "edit"]
 
@@ -24,7 +23,7 @@ def test_a_press_goes_down_to_its_depth_and_stays(mouse: Mouse) -> None:
     for _ in range(120):
         (poses,) = mouse.ticks(1)
         # Clay that gives way must not draw the tool after it.
-        mouse.clay = mouse.clay - np.float32((0.0, 0.0, 1e-4))
+        mouse.clay = mouse.clay - np.array((0.0, 0.0, 1e-4), np.float32)
     assert tip(poses) == pytest.approx((0.0, 0.0, 0.05 - 0.5 * 0.012), abs=4e-4)
     assert poses[0][1]
 
@@ -110,7 +109,7 @@ def test_beside_the_clay_the_tool_goes_on_at_its_depth(mouse: Mouse) -> None:
 
 def test_over_a_gap_the_tool_is_lifted(mouse: Mouse) -> None:
     """Never sweep from one surface to another far below: be unfelt, and clear, in between."""
-    low = mouse.clay - np.float32((0.0, 0.0, 0.2))
+    low = mouse.clay - np.array((0.0, 0.0, 0.2), np.float32)
     low = low[low[:, 0] > 0.0]
     mouse.clay = np.concatenate((mouse.clay[mouse.clay[:, 0] < 0.0], low))
     mouse.press(-0.01, 0.0)

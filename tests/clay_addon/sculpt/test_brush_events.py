@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from .conftest import Mouse
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import Mouse
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.sculpt.edits import LEAST_DISTANCE, Edit, apply_edit, fall_off
-
-from .conftest import SPACING, block
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import SPACING, block
 
 EMPTY = np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32)
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -28,7 +27,7 @@ def test_added_clay_fills_the_sphere(spacing: float) -> None:
     result = apply_edit(edit, *EMPTY, spacing)
     assert len(result.positions) == pytest.approx(4 / 3 * np.pi * (0.02 / spacing) ** 3, rel=0.02)
     assert np.linalg.norm(result.positions - edit.center, axis=1).max() < 0.02 + 1e-7
-    assert (result.colors == np.float32(RED)).all()
+    assert (result.colors == np.array(RED, np.float32)).all()
     assert (result.kept == -1).all()
 
 
@@ -67,7 +66,7 @@ def test_removal_takes_what_is_inside_and_nothing_else() -> None:
     colors = np.random.default_rng(4).random((len(points), 4)).astype(np.float32)
     center = (0.003, 0.001, -0.002)
     result = apply_edit(Edit("remove", center, 0.03), points, colors, SPACING)
-    outside = np.flatnonzero(np.linalg.norm(points - np.float32(center), axis=1) >= 0.03)
+    outside = np.flatnonzero(np.linalg.norm(points - np.array(center, np.float32), axis=1) >= 0.03)
     assert np.array_equal(result.kept, outside)
     assert np.array_equal(result.positions, points[outside])
     assert np.array_equal(result.colors, colors[outside])
@@ -79,7 +78,7 @@ def test_removal_takes_what_is_inside_and_nothing_else() -> None:
 def test_paint_blends_and_fades_out() -> None:
     """Blend by strength in the middle, less towards the rim, not at all outside."""
     points = np.column_stack((np.linspace(0.0, 0.03, 31), np.zeros(31), np.zeros(31)))
-    colors = np.tile(np.float32((0.0, 0.4, 0.8, 1.0)), (31, 1))
+    colors = np.tile(np.array((0.0, 0.4, 0.8, 1.0), np.float32), (31, 1))
     edit = Edit("paint", (0.0, 0.0, 0.0), 0.02, strength=0.5, color=RED)
     result = apply_edit(edit, points, colors, SPACING)
     assert np.array_equal(result.positions, points.astype(np.float32))

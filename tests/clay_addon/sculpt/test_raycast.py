@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.sculpt.raycast import ParticleSurface
-
-from .conftest import SPACING, block
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import SPACING, block
 
 RADIUS = 0.05
 

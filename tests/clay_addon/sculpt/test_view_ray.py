@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.sculpt.view_ray import View
-
-from .conftest import look
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import look
 
 
 @pytest.mark.parametrize("perspective", [True, False])
