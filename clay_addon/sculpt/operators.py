@@ -10,7 +10,6 @@ from ..clay_points import keep_sculpted, replace_points
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
-from .properties import SceneSource
 from .session import SculptError, SculptSession
 
 _TICK_SECONDS = 1.0 / 120.0
