@@ -197,7 +197,7 @@ class Stroke:
     @property
     def closed_gap(self) -> float:
         """Half the distance of two fingers' axes when they hold clay [m]."""
-        thin = max(0.75 * self.settings.spacing, 0.12 * self.settings.radius)
+        thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
         return self.tool.size * self.settings.radius + thin
 
     @property

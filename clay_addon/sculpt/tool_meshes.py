@@ -11,6 +11,8 @@ from ..tool_presets import load_tool_preset
 from .settings import BrushSettings, ToolMesh
 from .tools import Tool
 
+_PADS = (1.0, 1.5, 1.0)
+"""Fingers that pinch are broad, as the pads of thumb and finger are, so that clay stays between."""
 _ROUGH = 50.0
 """Friction of the board that holds the clay: with clay of .5 it makes 5, so weight holds well."""
 WIRE_LENGTH = 1.0
@@ -38,6 +40,8 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
         assert tool.preset is not None
         preset = _preset(tool.preset)
     vertices = preset.fitted(tool.size * settings.radius, settings.spacing)
+    if tool.path == "pinch":
+        vertices = vertices * _PADS
     friction = preset.friction if tool.friction is None else tool.friction
     mesh = ToolMesh(vertices, preset.faces, friction)
     return [mesh, mesh] if tool.path == "pinch" else [mesh]

@@ -18,7 +18,7 @@ _BELOW = 1.5
 what carries them: holding, and before [spacings]."""
 
 
-_LEANING = np.radians(18.0)
+_LEANING = np.radians(30.0)
 _LEAN = np.eye(4)
 _LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), _LEANING)
 """Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
