@@ -185,7 +185,7 @@ def _on_undo(*_: object) -> None:
 @persistent
 def _on_save_pre(*_: object) -> None:
     if session.current is not None:
-        session.current.before_saving(bpy.context)
+        session.current.before_saving(bpy.context.scene)
 
 
 @persistent

@@ -48,8 +48,11 @@ if TYPE_CHECKING:
 
 _SETTLE_SECONDS = 0.4
 """Hands that have let go of the clay for this long have ended a stroke [s]."""
-_MOVED = 1e-3
+_MOVED = 0.02
 """Clay that moved less than this is as it was, in spacings."""
+_FAR = 0.5
+"""Clay that nobody touched is worth an undo step from this on, in spacings: it springs back a
+little after each stroke."""
 
 
 class SculptError(Exception):
@@ -285,7 +288,7 @@ class SculptSession:
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
         felt = any(contacts.forces.any() for contacts in stepped.contacts)
-        if felt or stepped.tool_force:
+        if felt or (stepped.tool_force and self.tools.stroking):
             self._touched_at = self._clock()
 
     def _show(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
@@ -297,10 +300,13 @@ class SculptSession:
                 return
             self.positions = world
             if not self._changed:
-                moved = float(np.abs(world - self._kept).max(initial=0.0))
-                self._changed = moved > _MOVED * self.spacing
+                self._changed = self._moved() > _MOVED * self.spacing
             for item, positions in self.by_object(scene, world):
                 write_points(item, transform(local_from_world(item), positions))
+
+    def _moved(self) -> float:
+        """How far any clay has come since the last undo step [Blender units]."""
+        return float(np.abs(self.positions - self._kept).max(initial=0.0))
 
     def by_object(
         self, scene: bpy.types.Scene, values: NDArray[np.float32]
@@ -342,10 +348,10 @@ class SculptSession:
         push_undo(message)
         self.autosave.begin(scene)
 
-    def before_saving(self, context: bpy.types.Context) -> None:
-        """Blender is about to save: what is shown is what a bake of the saved file starts from."""
+    def before_saving(self, scene: bpy.types.Scene) -> None:
+        """Let what is shown be what a bake of the file starts from, without an undo step."""
         for part in self.simulation.parts:
-            item = context.scene.objects.get(part.name)
+            item = scene.objects.get(part.name)
             if item is not None and self._changed:
                 keep_sculpted(item)
 
@@ -417,8 +423,10 @@ class SculptSession:
                     stepped = self._worker.take()
                     if stepped is not None and np.isfinite(stepped.positions).all():
                         self._show(scene, stepped)
-                    if self._changed:
+                    if self._touched_at is not None or self._moved() > _FAR * self.spacing:
                         self.keep(scene, "Sculpt Clay")
+                    elif self._changed:
+                        self.before_saving(scene)
             except (SculptError, SimulationError, ReferenceError, KeyError):
                 # What it was about is gone; what was kept before stays.
                 pass
@@ -472,8 +480,8 @@ def clay_state(scene: bpy.types.Scene) -> dict[str, tuple[NDArray, NDArray]]:
 
 
 def push_undo(message: str) -> None:
-    """Make an undo step of what Blender holds now; in the background there is no Undo."""
-    if not bpy.app.background:
+    """Make an undo step of what Blender holds now, where there is a window and so an Undo."""
+    if not bpy.app.background and bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=message)
 
 
