@@ -12,19 +12,19 @@ import bpy
 import numpy as np
 
 from .surface import Surface
+from .surface_mesh import (
+    COLOR_ATTRIBUTE,
+    SPACING_ATTRIBUTE,
+    TEXTURE_ATTRIBUTE,
+    fill_surface_mesh,
+)
 
 MATERIAL_NAME = "Clay"
 NODE_GROUP_NAME = "Clay Surface"
 MODIFIER_NAME = "Clay Surface"
-COLOR_ATTRIBUTE = "Color"
-"""Not "color": Cycles reads an attribute of that name as black."""
-TEXTURE_ATTRIBUTE = "clay_texture"
-"""Positions in units of the particle distance: the grain of the clay is as fine as its detail."""
 _MARK = "tactile_clay_look"
 """Custom property of what this module made, so that a user's own data of that name stays."""
 _VERSION = 1
-SPACING_ATTRIBUTE = "clay_spacing"
-"""The particle distance [Blender units]: the depth of the grain goes with it."""
 
 # The surface of the node group, in units of the particle distance; measured so that a block comes
 # out with flat faces at the right place (see tests/clay_addon/test_look.py).
@@ -144,28 +144,14 @@ def surface_object(
         spacing: Distance between particles [Blender units], for the grain of the material; told
             from the mesh where not given.
     """
-    vertices = np.ascontiguousarray(surface.vertices, dtype=np.float32)
     mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(vertices))
-    mesh.loops.add(surface.faces.size)
-    mesh.polygons.add(len(surface.faces))
-    mesh.attributes["position"].data.foreach_set("vector", vertices.ravel())
-    mesh.loops.foreach_set("vertex_index", surface.faces.astype(np.int32).ravel())
-    mesh.polygons.foreach_set("loop_start", np.arange(0, surface.faces.size, 3, dtype=np.int32))
-    mesh.update(calc_edges=True)
     if spacing is None:
         sides = surface.vertices[surface.faces[:, 0]] - surface.vertices[surface.faces[:, 1]]
         # The median edge of the reconstruction is 0.41 spacings.
         spacing = float(np.median(np.linalg.norm(sides, axis=1))) / 0.41
-    place = mesh.attributes.new(TEXTURE_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
-    place.data.foreach_set("vector", (vertices / np.float32(spacing)).ravel())
-    size = mesh.attributes.new(SPACING_ATTRIBUTE, "FLOAT", "POINT")
-    size.data.foreach_set("value", np.full(len(vertices), spacing, np.float32))
-    if surface.colors is not None:
-        layer = mesh.attributes.new(COLOR_ATTRIBUTE, "FLOAT_COLOR", "POINT")
-        layer.data.foreach_set("color", np.ascontiguousarray(surface.colors, np.float32).ravel())
-        mesh.attributes.active_color = layer
-    mesh.shade_smooth()
+    fill_surface_mesh(
+        mesh, surface.vertices, surface.faces, spacing=spacing, colors=surface.colors
+    )
     mesh.materials.append(clay_material())
     return bpy.data.objects.new(name, mesh)
 
