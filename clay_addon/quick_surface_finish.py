@@ -89,8 +89,10 @@ def smooth(passes: int, farthest: float, values: wp.array[wp.vec4], net: Net) ->
     }
     for (int i = 0; i < particle_count; i++) {
         if (!blocks.home.data[i] || !net.shows.data[blocks.home.data[i]]) continue;
-        spread(i);
         const f4 own = *(const f4u*)((const float*)color.data + 4 * (i64)i);
+        const f4 finite = own - own;
+        if (!(finite.x + finite.y + finite.z + finite.w == 0.f)) continue;
+        spread(i);
         for (int k = 0; k < 8; k++) {
             const int slot = net.painted.data[node[k] >> 9];
             if (!slot) continue;
