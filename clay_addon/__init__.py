@@ -12,6 +12,7 @@ _MODULES = (
     "preferences",
     "properties",
     "make_clay",
+    "live_surface",
     "collider",
     "hand_operators",
     "bake_operators",
