@@ -62,6 +62,11 @@ def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return sorted(found, key=lambda item: item.name)
 
 
+def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the clay feels a collider at the current frame."""
+    return bool(item.evaluated_get(depsgraph).tactile_clay.collider_enabled)
+
+
 def frames_per_second(scene: bpy.types.Scene) -> float:
     """Frames in one second [1/s]."""
     return scene.render.fps / scene.render.fps_base
@@ -307,6 +312,7 @@ class Simulation:
                 vertices, _ = self._state(part, depsgraph)
                 friction = self._frictions[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+                part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)
             self.feed(depsgraph)
@@ -328,9 +334,11 @@ class Simulation:
         self._check_followed(depsgraph)
         self._check_planes(depsgraph)
         states = [self._state(part, depsgraph) for part in self._meshes]
-        for part, (vertices, pose) in zip(self._meshes, states, strict=True):
+        enabled = [is_enabled(part.item, depsgraph) for part in self._meshes]
+        for part, (vertices, pose), touches in zip(self._meshes, states, enabled, strict=True):
             if part.handle is None:
                 continue
+            part.handle.set_enabled(touches)
             try:
                 if not np.array_equal(vertices, part.handle.vertices):
                     part.handle.set_vertices(vertices)
@@ -339,7 +347,9 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        return bytes.fromhex(_digest(*states, *self._feed_hands(depsgraph)))
+        lifted = [which for which, touches in enumerate(enabled) if not touches]
+        said = [("lifted", *lifted)] if lifted else []
+        return bytes.fromhex(_digest(*states, *said, *self._feed_hands(depsgraph)))
 
     def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
         try:
@@ -431,6 +441,13 @@ class Simulation:
 
     def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
         for plane in self._planes:
+            if not is_enabled(plane.item, depsgraph):
+                raise SimulationError(
+                    f"{plane.item.name!r} does not touch the clay at frame "
+                    f"{self.scene.frame_current}, but an endless plane always does. Switch "
+                    "Touches Clay on, or give it thickness (Solidify modifier), so that it is a "
+                    "closed mesh."
+                )
             vertices, _ = evaluated_mesh(plane.item, depsgraph)
             matrix = plane.item.evaluated_get(depsgraph).matrix_world
             away = (transform(matrix, vertices) - plane.point) @ plane.normal
