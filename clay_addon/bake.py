@@ -300,9 +300,7 @@ def _simulate(
     try:
         for number in range(at + 1, last + 1):
             began = time.perf_counter()
-            scene.frame_set(number)
-            inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
-            simulation.step()
+            inputs = simulation.reach(number, steps=True)
             # Before the frame itself, which counts as done once it is there.
             felt.after(number, record=number not in known)
             if number not in known:

@@ -97,9 +97,7 @@ def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
     return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
 
 
-def clay_positions(
-    item: bpy.types.Object, attribute: str = "rest_position"
-) -> NDArray[np.float32]:
+def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> NDArray[np.float32]:
     """World positions of a clay object's points [Blender units], shape [N, 3].
 
     Args:
@@ -406,10 +404,35 @@ class Simulation:
         except HandError as error:
             raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
 
-    def step(self) -> None:
-        """Advance by one frame, to where `feed` put the colliders."""
+    def step(self, part: float = 1.0) -> None:
+        """Advance by a part of a frame, to where `feed` put the colliders."""
         assert self.solver is not None
-        self.solver.step(self.time_step)
+        self.solver.step(part * self.time_step)
+
+    def reach(self, number: int, *, steps: bool) -> bytes:
+        """Bring the scene to a frame from the one before, by way of the moments between them.
+
+        Args:
+            number: The frame.
+            steps: Whether the solver steps on to each moment.
+
+        Returns:
+            Sixteen bytes that say what colliders and hands did.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+        """
+        count = self.scene.tactile_clay.motion_samples
+        done = []
+        for sample in range(1, count + 1):
+            if sample < count:
+                self.scene.frame_set(number - 1, subframe=sample / count)
+            else:
+                self.scene.frame_set(number)
+            done.append(self.feed(bpy.context.evaluated_depsgraph_get()))
+            if steps:
+                self.step(1.0 / count)
+        return done[0] if count == 1 else bytes.fromhex(_digest(*done))
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Everything that decides what the next steps do, as plain arrays."""
@@ -517,12 +540,13 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
     """
     clay = clay_objects(scene)
     gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
+    samples = scene.tactile_clay.motion_samples
     return {
         "clay": clay_digest(clay),
         "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
         "solver settings": _digest(asdict(solver_settings(scene))),
         "gravity": _digest(*gravity),
-        "frame rate": _digest(frames_per_second(scene)),
+        "frame rate": _digest(frames_per_second(scene), *([samples] if samples > 1 else [])),
         "unit scale": _digest(scene.unit_settings.scale_length),
     }
 
@@ -537,7 +561,8 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
 
 
 def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
-    hold_stiffness = LIVE_HOLD_STIFFNESS if live else None
+    gives_way = live or context.scene.tactile_clay.hands_give_way
+    hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
     hands = hand_objects(context.scene)
     if hands and live:
         hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)

@@ -74,7 +74,9 @@ class SolverWorker:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-def step(solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[object]) -> Stepped:
+def step(
+    solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[object]
+) -> Stepped:
     """Advance a solver.
 
     Args:
