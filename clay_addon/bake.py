@@ -24,8 +24,8 @@ from .bake_checks import (
 )
 from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
-from .clay_points import SCULPTED_MARK
 from .checkpoints import Checkpoints, restore_checkpoint
+from .clay_points import SCULPTED_MARK
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION

@@ -40,7 +40,7 @@ def autosave_path(blend: str) -> Path | None:
 class Autosave:
     """Saves a session's clay by itself, on a thread of its own."""
 
-    def __init__(self, scene: bpy.types.Scene) -> None:
+    def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-autosave")
         self._writing: Future[None] | None = None
         self._last: float | None = None

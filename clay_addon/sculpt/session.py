@@ -34,6 +34,7 @@ from ..simulation import (
     solver_device,
 )
 from .autosave import Autosave
+from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
 from .live_touch import LiveTouch
 from .pace import Pace
@@ -43,6 +44,7 @@ from .undo_states import UndoStates
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider
+    from .edits import Edit
 
 _SETTLE_SECONDS = 0.4
 """Hands that have let go of the clay for this long have ended a stroke [s]."""
@@ -82,6 +84,9 @@ class Tools(Protocol):
     def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
         """Where each mesh is after so many seconds, and whether the clay feels it."""
 
+    def take_edits(self) -> Sequence[Edit]:
+        """What to do to the clay beside that, since the last call."""
+
 
 class NoTools:
     """Nothing in the mouse: tracked hands and colliders only."""
@@ -94,6 +99,10 @@ class NoTools:
         return ()
 
     def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
+        """None."""
+        return ()
+
+    def take_edits(self) -> Sequence[Edit]:
         """None."""
         return ()
 
@@ -147,12 +156,10 @@ class SculptSession:
         except SimulationError as error:
             self._worker.close()
             raise SculptError(str(error)) from error
-        self.autosave = Autosave(context.scene)
+        self.autosave = Autosave()
         self._touch = LiveTouch()
         self._closing.enter_context(paused())
         self._closing.enter_context(own_touch())
-        self.first = clay_state(context.scene)
-        """The clay of each object as it was at the start."""
 
     # What others ask ----------------------------------------------------------------------------
 
@@ -222,6 +229,12 @@ class SculptSession:
             stepped = None
             if self._changed:
                 self.keep(scene, "Sculpt Clay")
+        edits = self.tools.take_edits()
+        if edits:
+            if stepped is not None:
+                self._show(scene, stepped)
+            self._edit(context, edits)
+            return True
         duration = self.pace.next(self._clock())
         if duration:
             self._begin_step(context, duration)
@@ -248,6 +261,14 @@ class SculptSession:
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
         self._worker.begin(partial(step, solver, duration, hands, self._colliders))
+
+    def _edit(self, context: bpy.types.Context, edits: Sequence[Edit]) -> None:
+        """Add clay, take some away or paint it; a solver is built where particles came or went."""
+        scene = context.scene
+        clay = [scene.objects[part.name] for part in self.simulation.parts]
+        if edit_clay(context, clay, edits):
+            self._changed = True
+            self._touched_at = self._clock()
 
     def _look_at(self, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""
@@ -321,12 +342,19 @@ class SculptSession:
         push_undo(message)
         self.autosave.begin(scene)
 
+    def before_saving(self, context: bpy.types.Context) -> None:
+        """Blender is about to save: what is shown is what a bake of the saved file starts from."""
+        for part in self.simulation.parts:
+            item = context.scene.objects.get(part.name)
+            if item is not None and self._changed:
+                keep_sculpted(item)
+
     def undone(self) -> None:
         """Blender has undone or redone something: take up what it came to at the next tick."""
         self._taken_back = True
 
     def _take_back(self, context: bpy.types.Context) -> None:
-        self._taken_back = False
+        self._taken_back = self._changed = False
         self._begin_build(context, state=self.undo.state(context.scene))
 
     # Building -----------------------------------------------------------------------------------
@@ -353,7 +381,6 @@ class SculptSession:
             collider.set_enabled(False)
             self._colliders.append(collider)
         self.positions = self._kept = np.concatenate(simulation.rest)
-        self._changed = False
 
         def build() -> Stepped:
             simulation.build(prepared, self._device)
@@ -402,6 +429,36 @@ class SculptSession:
 
 current: SculptSession | None = None
 """The session that runs; None while there is none."""
+
+
+first: dict[str, tuple[NDArray, NDArray]] = {}
+"""Points and colours of each clay object, by name, as the last session found them."""
+
+
+def start(context: bpy.types.Context, tools: Tools | None = None) -> SculptSession:
+    """Start the session of a scene.
+
+    Raises:
+        SculptError: One runs already, or the scene cannot be sculpted.
+    """
+    global current, first
+    if current is not None:
+        raise SculptError("Sculpting goes on already. Press Esc or Finish to end it.")
+    current = SculptSession(context, tools=tools)
+    first = clay_state(context.scene)
+    return current
+
+
+def stop(context: bpy.types.Context | None) -> None:
+    """End the session that runs, if one does, and keep what is shown.
+
+    Args:
+        context: None where Blender's data is no longer the session's.
+    """
+    global current
+    ended, current = current, None
+    if ended is not None:
+        ended.finish(context)
 
 
 def clay_state(scene: bpy.types.Scene) -> dict[str, tuple[NDArray, NDArray]]:

@@ -19,8 +19,8 @@ from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # n
 from tactile_clay.clay_addon.simulation import (  # noqa: E402
     Simulation,
     clay_colors,
-    collider_objects,
     clay_positions,
+    collider_objects,
 )
 from tactile_clay.solver.closed_mesh import check_closed_mesh  # noqa: E402
 from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
