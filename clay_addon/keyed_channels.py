@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,16 +15,17 @@ CONSTANT, LINEAR = 0, 1
 """How a value goes on from a key to the next, as Blender numbers it."""
 
 
-class Channel(NamedTuple):
+@dataclass(frozen=True)
+class Channel:
     """One animated number of an object."""
 
     path: str
     """From the object, as Blender's data paths are."""
     index: int
     """Which number of a vector or quaternion; 0 otherwise."""
-    frames: NDArray[np.floating]
+    frames: NDArray[Any]
     """Of the keys, ascending, also between whole frames, shape [K]."""
-    values: NDArray[np.floating]
+    values: NDArray[Any]
     """At the keys, shape [K]."""
     interpolation: int = LINEAR
     """`LINEAR` or `CONSTANT`."""
@@ -62,7 +64,7 @@ def write_channels(item: bpy.types.Object, name: str, channels: Sequence[Channel
     item.update_tag()
 
 
-def needed(values: NDArray[np.floating]) -> NDArray[np.bool_]:
+def needed(values: NDArray[Any]) -> NDArray[np.bool_]:
     """Which keys say something: not those between two of the same value, shape [K]."""
     same = values[1:] == values[:-1]
     kept = np.ones(len(values), bool)

@@ -285,7 +285,8 @@ class TakeRecorder:
             return
         rows = self._rows or [_nothing(self._layout)]
         columns = [np.stack(column)[: len(self._rows)] for column in zip(*rows, strict=True)]
-        steps = Steps(self._layout, np.array(self._times), *columns, events=self._events)
+        moment = Moment(*columns)
+        steps = Steps(self._layout, np.array(self._times), *moment, self._events)
         number, self._files = self._files, self._files + 1
         self._unwritten[number] = steps
         self._count += len(self._rows)

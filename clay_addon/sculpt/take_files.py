@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from ..cache_files import (
     CacheDamagedError,
-    CacheError,
     CacheMissingError,
     read_arrays,
     write_arrays,
@@ -191,7 +190,7 @@ def write_start(
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
     """
-    arrays = {}
+    arrays: dict[str, NDArray[Any]] = {}
     for number, (positions, colors) in enumerate(start.values()):
         arrays[f"positions_{number}"], arrays[f"colors_{number}"] = positions, colors
     write_arrays(directory / "take_start.npz", arrays)
@@ -203,7 +202,11 @@ def write_tool(directory: Path, number: int, tool: ToolShape) -> None:
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
     """
-    arrays = {"vertices": tool.vertices, "faces": tool.faces, "friction": np.array(tool.friction)}
+    arrays: dict[str, NDArray[Any]] = {
+        "vertices": tool.vertices,
+        "faces": tool.faces,
+        "friction": np.array(tool.friction),
+    }
     write_arrays(directory / f"take_tools_{number:03d}.npz", arrays)
 
 
@@ -214,7 +217,7 @@ def write_steps(directory: Path, number: int, steps: Steps) -> None:
         CacheError: The disk is full or the folder cannot be written to.
     """
     text = json.dumps({"layout": asdict(steps.layout), "events": steps.events})
-    arrays = {name: getattr(steps, name) for name in Steps.ARRAYS}
+    arrays: dict[str, NDArray[Any]] = {name: getattr(steps, name) for name in Steps.ARRAYS}
     # Of a pose's last row nothing is to be known.
     for name in ("objects", "bones", "tool_poses"):
         arrays[name] = arrays[name][..., :3, :]
@@ -295,7 +298,7 @@ def _numbered(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
     for path in directory.iterdir():
         if match := pattern.fullmatch(path.name):
             found[int(match[1])] = path
-    paths = []
+    paths: list[Path] = []
     while len(paths) in found:
         paths.append(found[len(paths)])
     return paths
@@ -321,25 +324,3 @@ def _read_steps(path: Path) -> Steps:
         return Steps(layout, **arrays, events=said["events"])
     except (ValueError, KeyError, TypeError) as error:
         raise CacheDamagedError(f"{path.name} cannot be understood ({error})") from error
-
-
-__all__ = [
-    "CacheDamagedError",
-    "CacheError",
-    "CacheMissingError",
-    "Edit",
-    "Layout",
-    "Steps",
-    "Take",
-    "TakeHeader",
-    "ToolShape",
-    "frame_count",
-    "is_take",
-    "read_header",
-    "read_take",
-    "without_undone",
-    "write_header",
-    "write_start",
-    "write_steps",
-    "write_tool",
-]

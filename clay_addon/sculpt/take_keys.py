@@ -8,6 +8,7 @@ felt. Only what moved gets keys, and what had an action before, which might move
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import bpy
@@ -78,9 +79,7 @@ def key_take(scene: bpy.types.Scene, take: Take, *, name: str = "Take") -> Keyed
             channels += clock.number(path, track, CONSTANT)
         if item.type == "ARMATURE":
             for bone in item.pose.bones:
-                track = bones.get((object_name, bone.name))
-                if track is not None:
-                    channels += clock.transform(track, bone)
+                channels += clock.transform(bones.get((object_name, bone.name)), bone)
             if channels or CONTACT_PROPERTY in item:
                 path = f'["{CONTACT_PROPERTY}"]'
                 channels += clock.number(path, contacts[object_name], CONSTANT)
@@ -153,7 +152,7 @@ class _Clock:
         # So that what falls on a frame, or on half of one, does so to the bit.
         frames = np.round(self._start + times[kept] * self._rate, 4)
         channel = Channel(path, index, frames, values[kept], group=group)
-        return channel if interpolation is None else channel._replace(interpolation=interpolation)
+        return channel if interpolation is None else replace(channel, interpolation=interpolation)
 
 
 def decomposed(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..clay_points import SCULPTED_MARK
 from ..playback import refresh
 from ..simulation import clay_objects
-from .take_files import Edit, Steps, Take, read_take
+from .take_files import Edit, Steps, read_take
 from .take_keys import key_take
 
 _COARSEST = 1 / 60
