@@ -223,6 +223,7 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         default=False,
     )
     take_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_edits: bpy.props.StringProperty(options={"HIDDEN"})
     film_of: bpy.props.PointerProperty(
         name="Film of",
         description="The scene whose take this one bakes again",

@@ -26,7 +26,7 @@ from ..make_clay import ClayError, fill_pieces, make_point_cloud
 from ..preferences import missing_parts
 from ..simulation import clay_objects
 from ..surface import SurfaceError, reconstruct
-from .film_edits import unknown_edit
+from .film_edits import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
 from .take_frames import nearest
 from .take_pose import followed
@@ -94,8 +94,8 @@ def make_film(
     if not known:
         base = source.tactile_clay.cache_directory.rstrip("/\\")
         properties.cache_directory = f"{_TAKE.sub('', base)}_film"
-    for name in ("motion_samples", "take_edits"):
-        setattr(properties, name, getattr(source.tactile_clay, name))
+    properties.motion_samples = source.tactile_clay.motion_samples
+    properties.film_edits = source.tactile_clay.take_edits
     properties.film_of = source
     properties.use_scene_range = True
     film.frame_start, film.frame_end = source.frame_start, source.frame_end
@@ -148,8 +148,15 @@ def _furnish(
         and item.animation_data.action is not None
     ]
     made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
+    edits = take_edits(source)
+    room = room_for(edits, spacing * source.unit_settings.scale_length)
     for item, (points, colors) in zip(live, pieces, strict=True):
-        _make_clay(context, film, item, points, colors, spacing)
+        # Shown at the place of the first until they are added.
+        points = np.concatenate([points, np.tile(points[:1], (room, 1))])
+        colors = np.concatenate([colors, np.tile(colors[:1], (room, 1))])
+        clay = _make_clay(context, film, item, points, colors, spacing)
+        if edits:
+            prepare_for_edits(clay, room)
     context.view_layer.update()
     wanted = spacing * film.unit_settings.scale_length
     for hand in hands:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from ..bake_checks import BakeError, owner_of, resolve_directory
 from ..cache import Cache, CacheError, Meta
-from ..cache_files import write_arrays
 from ..preferences import ADDON_VERSION
 from ..simulation import Simulation, frames_per_second
 from .take_files import (
@@ -322,7 +321,7 @@ class TakeRecorder:
         header = replace(self.header, seconds=self.seconds)
         colors = self._colors
         self._write(lambda: write_header(self.directory, header))
-        self._write(lambda: write_arrays(self.directory / "colors.npz", {"colors": colors}))
+        self._write(lambda: Cache(self.directory).write_colors(colors))
         try:
             self._writer.close()
         except CacheError as error:

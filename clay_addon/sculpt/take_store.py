@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from ..clay_points import SCULPTED_MARK
 from ..playback import refresh
 from ..simulation import clay_objects
+from .film_edits import edits_of_text, edits_text
 from .take_files import Edit, Steps, read_take
 from .take_keys import key_take
 
@@ -65,8 +64,8 @@ def store_take(
         else:
             warnings.append(f"The clay {name!r} of the take cannot be found in this file.")
     properties = scene.tactile_clay
-    properties.take_edits = json.dumps([asdict(edit) for edit in take.edits]) if take.edits else ""
     rate = take.header.frames_per_second
+    properties.take_edits = edits_text(take.edits, start=keyed.first, rate=rate)
     properties.motion_samples = max(1, math.ceil(1.0 / (rate * _COARSEST) - 1e-6))
     properties.cache_directory = beside_blend(directory, properties.cache_directory)
     scene.frame_start, scene.frame_end = keyed.first, keyed.last
@@ -101,8 +100,7 @@ def take_start(
 
 def take_edits(scene: bpy.types.Scene) -> list[Edit]:
     """The edits of a scene's take, in the order they were made."""
-    text = scene.tactile_clay.take_edits
-    return [Edit(**table) for table in json.loads(text)] if text else []
+    return edits_of_text(scene.tactile_clay.take_edits)
 
 
 def _keep_start(

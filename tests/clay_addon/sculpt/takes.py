@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ from tactile_clay.clay_addon.clay_points import keep_sculpted, write_points
 from tactile_clay.clay_addon.collider import make_collider
 from tactile_clay.clay_addon.make_clay import make_clay
 from tactile_clay.clay_addon.mesh_geometry import local_from_world, transform
+from tactile_clay.clay_addon.sculpt.clay_edits import edit_clay
+from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.take import TakeRecorder
 from tactile_clay.clay_addon.sculpt.take_store import Stored
 from tactile_clay.clay_addon.simulation import Simulation
@@ -48,6 +50,22 @@ class Loop:
         self.shapes.append(self.simulation.positions())
         self.recorder.step(duration, self.shapes[-1], self.simulation.colors)
         return self.shapes[-1]
+
+    def edit(self, *edits: Edit) -> None:
+        """Add, take away or paint clay, as a session does between two steps."""
+        self.show()
+        clay = [self.scene.objects[part.name] for part in self.simulation.parts]
+        edit_clay(bpy.context, clay, edits)
+        for edit in edits:
+            values = asdict(edit)
+            self.recorder.edit(values.pop("kind"), values)
+        simulation = Simulation(bpy.context, live=True)
+        if len(simulation.colors) == len(self.simulation.colors):
+            self.simulation.colors = simulation.colors
+            return
+        self.simulation = simulation
+        self.simulation.start(bpy.context.evaluated_depsgraph_get(), "cpu")
+        self.recorder.rebuilt(self.simulation)
 
     def show(self) -> None:
         """Write the clay into Blender and keep it, as after a stroke."""
@@ -107,13 +125,9 @@ def pressed(time: float) -> bool:
     return time < 0.55
 
 
-def record_press(
-    loop: Loop, item: Any, seconds: float, *, before: Callable[[float], None] | None = None
-) -> None:
+def record_press(loop: Loop, item: Any, seconds: float) -> None:
     """Move the ball and step."""
     for number in range(1, round(seconds / STEP) + 1):
         item.matrix_world = press(number * STEP)
         item.tactile_clay.collider_enabled = pressed(number * STEP)
-        if before:
-            before(number * STEP)
         loop.step()

@@ -14,14 +14,20 @@ from numpy.typing import NDArray
 from tactile_clay.clay_addon.bake import BakeStaleError, bake
 from tactile_clay.clay_addon.cache import Cache
 from tactile_clay.clay_addon.hand import hand_message, hand_objects
-from tactile_clay.clay_addon.sculpt.film import FilmError, make_film
-from tactile_clay.clay_addon.simulation import Simulation, clay_objects, collider_objects
+from tactile_clay.clay_addon.sculpt.edits import Edit
+from tactile_clay.clay_addon.sculpt.film import make_film
+from tactile_clay.clay_addon.simulation import (
+    Simulation,
+    clay_colors,
+    clay_objects,
+    collider_objects,
+)
 from tactile_clay.clay_addon.surface import reconstruct
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
 from tactile_clay.clay_addon.tracking.keyframes import import_recording
 from tactile_clay.clay_addon.tracking.recording import read_recording
 
-from .takes import STEP, TOP, Loop, record_press, studio_scene
+from .takes import TOP, Loop, record_press, studio_scene
 
 LEAP = Path(__file__).resolve().parents[4] / "shared" / "data" / "leap" / "grab.json.gz"
 
@@ -92,6 +98,75 @@ def test_half_the_spacing_gives_the_same_dent(studio: Any, tmp_path: Path) -> No
     assert depths[0] <= depths[1] + 1e-4 <= 0.0071
     assert depths[1] - depths[0] < 0.5 * 0.005
     assert np.abs(fine - coarse).mean() < 0.25 * 0.005
+
+
+def _record_edits(studio: Any, folder: Path) -> Loop:
+    """A heap is added, a corner taken away, and a face painted red, with steps between."""
+    studio_scene(studio, folder, rate=60)
+    loop = Loop(studio.scene)
+    for edits in (
+        [Edit("add", (0.0, 0.0, TOP), 0.012), Edit("add", (0.004, 0.0, TOP), 0.012)],
+        [Edit("remove", (0.02, 0.02, TOP), 0.013)],
+        [Edit("paint", (-0.02, 0.0, 0.02), 0.015, color=(1.0, 0.0, 0.0, 1.0))],
+    ):
+        for _ in range(4):
+            loop.step()
+        loop.edit(*edits)
+    for _ in range(4):
+        loop.step()
+    loop.finish()
+    return loop
+
+
+def _unlike(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The first of each particles that are at the same place."""
+    return np.sort(np.unique(points, axis=0, return_index=True)[1])
+
+
+def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
+    """Add, take away and paint the same, also where the bake was stopped and goes on."""
+    loop = _record_edits(studio, tmp_path)
+    live = loop.shapes[-1]
+    film = make_film(bpy.context, spacing=0.005)
+    (fine,) = clay_objects(film)
+    room = len(fine.data.points) - len(loop.shapes[0])
+    assert 0 < room < 300
+    result, last = baked(film)
+    there = _unlike(last)
+    assert len(there) == len(live)
+    np.testing.assert_allclose(
+        np.sort(last[there], axis=0), np.sort(live, axis=0), atol=0.05 * 0.005
+    )
+    first = Cache(result.directory).read_frame(1).positions
+    assert len(_unlike(first)) == len(loop.shapes[0])
+    colors = clay_colors(fine)
+    red = colors[there, 1] < 0.1
+    assert red.sum() == (loop.simulation.colors[:, 1] < 0.1).sum() > 5
+    assert last[there][red][:, 0].max() < -0.01
+    # Stopped after the clay was taken away, and resumed.
+    whole = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
+    baked(film, progress=lambda progress: progress.frame < 10)
+    assert bpy.ops.clay.resume() == {"FINISHED"}
+    again = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
+    assert again == whole
+    np.testing.assert_array_equal(clay_colors(fine), colors)
+
+
+def test_finer_clay_is_edited_as_much(studio: Any, tmp_path: Path) -> None:
+    """Add and take away what the edits' spheres hold, at half the spacing."""
+    loop = _record_edits(studio, tmp_path)
+    film = make_film(bpy.context)
+    result, last = baked(film)
+    assert result.warnings == ()
+    # A block, half of two balls that overlap, less an eighth of another.
+    lens = np.pi * (4 * 0.012 + 0.004) * (2 * 0.012 - 0.004) ** 2 / 12
+    added = 0.5 * (2 * 4 / 3 * np.pi * 0.012**3 - lens)
+    whole = TOP**3 + added - 4 / 3 * np.pi * 0.013**3 / 8
+    errors = [
+        len(loop.shapes[-1]) * 0.005**3 / whole - 1,
+        len(_unlike(last)) * 0.0025**3 / whole - 1,
+    ]
+    assert abs(errors[1]) < 0.02 and abs(errors[1]) < abs(errors[0])
 
 
 def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
