@@ -17,6 +17,7 @@ _MODULES = (
     "hand_operators",
     "bake_operators",
     "playback",
+    "sculpt.take_operators",
     "export",
     "pack",
     "touch_properties",

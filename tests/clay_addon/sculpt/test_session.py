@@ -52,7 +52,6 @@ class Finger:
         pose[2, 3] = self.height
         return [(pose, self.enabled)]
 
-
     def take_edits(self) -> list[Edit]:
         """What the test asks for."""
         edits, self.edits = self.edits, []
