@@ -37,6 +37,9 @@ _MODULES = (
     "tracking.panel",
     "sculpt.autosave",
     "sculpt.operators",
+    "sculpt.overlay",
+    "sculpt.header",
+    "sculpt.panel",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -18,7 +18,7 @@ from .raycast import ParticleSurface
 from .rigid import frame_of, tangent_of
 from .settings import BrushSettings, ToolMesh
 from .stroke import Stroke
-from .tool_meshes import tool_parts
+from .tool_meshes import is_thin, sole_radius, tool_parts
 from .tool_poses import copy_poses, part_poses
 from .view_region import Pointer, find_pointer, pointer_in
 
@@ -76,12 +76,11 @@ class Brush:
         self._samples: list[tuple[Pointer, float, bool]] = []
         self._pressed: tuple[Pointer, float, bool] | None = None
         self._held = False
+        self._blade_radius = 0.0
         self._adjustment: Adjustment | None = None
         self._poses: list[tuple[NDArray[np.float64], bool]] = []
         self.cursor: Cursor | None = None
         """Where the brush is on the clay; None if it is nowhere near."""
-        self.moved = False
-        """Whether the last `poses` changed what is to be drawn."""
 
     # What the session asks ------------------------------------------------------------------------
 
@@ -94,7 +93,7 @@ class Brush:
     def mesh_key(self) -> Hashable:
         """Changes when `meshes` do, which never is in the middle of a stroke.
 
-        A radius changes poses only.
+        A radius changes poses only, but for blades, which are as thick as the spacing asks for.
         """
         self._refresh()
         return self._key_of_meshes()
@@ -104,7 +103,13 @@ class Brush:
         if settings.tool.path == "edit":
             return ("edit",)
         stamp = settings.stamp_key if settings.tool.identifier == "STAMP" else ""
-        return (settings.tool.identifier, stamp, settings.mirror, settings.spacing)
+        key = (settings.tool.identifier, stamp, settings.mirror, settings.spacing)
+        if not is_thin(settings.tool):
+            return key
+        # While a radius is being chosen, a blade is drawn scaled.
+        if self._adjustment is None or self._blade_radius == 0.0:
+            self._blade_radius = settings.radius
+        return (*key, self._blade_radius)
 
     @property
     def stroking(self) -> bool:
@@ -142,7 +147,6 @@ class Brush:
             World from the mesh's coordinates [m], shape [4, 4], scaled and mirrored where needed,
             and whether it is felt; in the order of `meshes`.
         """
-        before = self._poses, self.cursor
         self._refresh()
         if self._pressed is not None:
             self._begin()
@@ -152,7 +156,6 @@ class Brush:
             self._dab()
         else:
             self._hover()
-        self.moved = self.cursor is not before[1] or not _same(self._poses, before[0])
         return list(self._poses)
 
     def take_edits(self) -> list[Edit]:
@@ -195,6 +198,9 @@ class Brush:
         if pointer is None or event.type in _MOVES or event.value != "PRESS":
             return False
         self._refresh()
+        if event.type == "SPACE" and event.shift:
+            open_tool_menu()
+            return True
         if self._settings.tool.identifier == "NONE":
             return False
         if event.type == "LEFTMOUSE":
@@ -246,6 +252,24 @@ class Brush:
             self._source.write("radius", max(self._settings.radius * factor, LEAST_RADIUS))
             return True
         return False
+
+    def status_text(self) -> str:
+        """What keys and buttons do at the moment, for the status bar."""
+        if self._adjustment is not None:
+            return "Left mouse: confirm   Right mouse: cancel   Shift: finely"
+        tool = self._settings.tool
+        if self._held and tool.path == "pinch":
+            return "Wheel or Shift: pull away from the surface   Esc: let go"
+        if self._held and tool.edit is None and tool.path != "view":
+            return "Wheel: deeper or less deep   Esc: let go"
+        parts = []
+        if tool.identifier != "NONE":
+            parts.append(f"Left mouse: {tool.label}")
+            if tool.edit in ("add", "remove"):
+                parts.append("Ctrl: " + ("take away" if tool.edit == "add" else "add"))
+            parts.append("F, [ ]: radius")
+            parts.append("Shift F: strength")
+        return "   ".join((*parts, "Shift Space: tools", "Esc: finish"))
 
     def _adjust(self, context: Any, event: Any) -> bool:
         adjustment = self._adjustment
@@ -305,7 +329,9 @@ class Brush:
             if self._settings.tool.edit is not None:
                 self._edit_stroke = EditStroke(*place, inverted=inverted, pressure=pressure)
             else:
-                self._stroke = Stroke(*place)
+                parts, made_radius = self._parts()
+                sole = sole_radius(parts, made_radius) * self._settings.radius / made_radius
+                self._stroke = Stroke(*place, sole=sole)
         except LookupError:
             self._held = False
 
@@ -392,18 +418,16 @@ class Brush:
         return self._made[1], self._made[2]
 
 
+def open_tool_menu() -> None:
+    """Show all tools at the mouse, where Blender's toolbar pops up too."""
+    import bpy
+
+    bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")
+
+
 def _thinned(
     samples: list[tuple[Pointer, float, bool]], most: int = 6
 ) -> list[tuple[Pointer, float, bool]]:
     """Some of many events evenly, the last always."""
     step = -(-len(samples) // most) if samples else 1
     return samples[::-1][::step][::-1]
-
-
-def _same(
-    poses: list[tuple[NDArray[np.float64], bool]], others: list[tuple[NDArray[np.float64], bool]]
-) -> bool:
-    return len(poses) == len(others) and all(
-        felt == other_felt and np.array_equal(pose, other)
-        for (pose, felt), (other, other_felt) in zip(poses, others, strict=True)
-    )

@@ -85,13 +85,14 @@ def apply_edit(edit: Edit, positions: ArrayLike, colors: ArrayLike, spacing: flo
         )
     if not (np.isfinite(spacing) and spacing > 0.0):
         raise ValueError(f"The particle spacing is {spacing!r} m; it must be above 0.")
+    color = np.array(edit.color, np.float32)
     everything = np.arange(len(points))
     center = np.asarray(edit.center, np.float64)
     if edit.kind == "add":
         new = _new_points(center, edit.radius, points, spacing)
         return EditResult(
             np.concatenate((points, new)),
-            np.concatenate((paints, np.tile(np.float32(edit.color), (len(new), 1)))),
+            np.concatenate((paints, np.tile(color, (len(new), 1)))),
             np.concatenate((everything, np.full(len(new), -1))),
         )
     distance = np.linalg.norm(points - center, axis=1)
@@ -99,7 +100,7 @@ def apply_edit(edit: Edit, positions: ArrayLike, colors: ArrayLike, spacing: flo
         kept = everything[distance >= edit.radius]
         return EditResult(points[kept], paints[kept], kept, len(kept) < len(points))
     weight = edit.strength * fall_off(distance / edit.radius)[:, None]
-    blended = paints + weight.astype(np.float32) * (np.float32(edit.color) - paints)
+    blended = paints + weight.astype(np.float32) * (color - paints)
     return EditResult(points, blended, everything)
 
 

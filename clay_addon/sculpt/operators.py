@@ -7,7 +7,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..clay_points import keep_sculpted, replace_points
-from . import session
+from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
 from .properties import SceneSource
@@ -47,6 +47,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         try:
             self._brush = Brush(SceneSource(context.scene))
             self._session = session.start(context, self._brush)
+            overlay.show(self._brush)
         except SculptError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -106,6 +107,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
         if self._brush is not None:
+            overlay.hide()
             self._brush.cancel()
             self._brush = None
         if running is not None and session.current is running:

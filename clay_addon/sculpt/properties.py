@@ -7,13 +7,15 @@ from typing import Any
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ...solver.closed_mesh import MeshError, check_closed_mesh
-from ..mesh_geometry import evaluated_mesh
 from ..simulation import clay_objects
+from ..tool_presets import ToolPreset, ToolPresetError
+from ..tool_stamp import stamp_from_object
+from . import session
 from .adjust import Adjusted
-from .settings import BrushSettings, ToolMesh
+from .settings import BrushSettings
 from .tools import BY_IDENTIFIER, tool_items
 
 _RADIUS = 0.012
@@ -30,7 +32,7 @@ def _set_radius(properties: Any, value: float) -> None:
 
 
 def _is_mesh(properties: Any, item: bpy.types.Object) -> bool:
-    return item.type == "MESH"
+    return bool(item.type == "MESH")
 
 
 class ClaySculptProperties(bpy.types.PropertyGroup):
@@ -103,7 +105,7 @@ class SceneSource:
 
     def __init__(self, scene: bpy.types.Scene) -> None:
         self._name = scene.name
-        self._stamp: tuple[str, ToolMesh | None] = ("", None)
+        self._stamp: tuple[str, ToolPreset | None] = ("", None)
         self._last = BrushSettings()
 
     def read(self) -> BrushSettings:
@@ -138,49 +140,35 @@ class SceneSource:
                 value /= scene.unit_settings.scale_length
             setattr(scene.tactile_clay_sculpt, name, value)
 
-    def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolMesh | None]:
-        if item is None:
+    def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolPreset | None]:
+        if item is None or item.type != "MESH":
             return "", None
-        scales = [round(value, 6) for value in item.matrix_world.to_scale()]
-        key = f"{item.name_full} {len(item.data.vertices)} {scales}"
+        key = _stamp_key(item)
         if key != self._stamp[0]:
             try:
-                self._stamp = (key, stamp_mesh(item, bpy.context.evaluated_depsgraph_get()))
-            except StampError:
-                # The panel says why; the stamp that comes along serves meanwhile.
+                preset = stamp_from_object(item, bpy.context.evaluated_depsgraph_get())
+                self._stamp = (key, preset)
+                _stamp_faults.pop(key, None)
+            except ToolPresetError as error:
+                # The stamp that comes along serves meanwhile.
                 self._stamp = (key, None)
+                _stamp_faults[key] = str(error)
         return self._stamp if self._stamp[1] is not None else ("", None)
 
 
-class StampError(Exception):
-    """An object cannot be a stamp; the message says why and what to do."""
+_stamp_faults: dict[str, str] = {}
 
 
-def stamp_mesh(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ToolMesh:
-    """An object's mesh as a stamp: as wide as the brush, its underside at the tip.
+def _stamp_key(item: bpy.types.Object) -> str:
+    scales = [round(value, 6) for value in item.matrix_world.to_scale()]
+    return f"{item.name_full} {len(item.data.vertices)} {scales}"
 
-    Args:
-        item: A closed mesh; what looks down its own -Z is pressed into the clay.
-        depsgraph: The evaluated scene.
 
-    Returns:
-        The mesh in brush radii.
-
-    Raises:
-        StampError: The mesh is open or has no width.
-    """
-    vertices, triangles = evaluated_mesh(item, depsgraph)
-    try:
-        points, faces = check_closed_mesh(vertices, triangles, name=repr(item.name))
-    except MeshError as error:
-        raise StampError(str(error)) from error
-    points = points * np.array(item.matrix_world.to_scale())
-    low, high = points.min(0), points.max(0)
-    wide = float((high - low)[:2].max())
-    if wide <= 0.0:
-        raise StampError(f"{item.name!r} has no width, so it cannot be a stamp.")
-    points = points - np.array([*(0.5 * (low + high))[:2], low[2]])
-    return ToolMesh(points * (2.0 / wide), faces)
+def stamp_fault(item: bpy.types.Object | None) -> str:
+    """Why an object that was tried as a stamp cannot be one; empty if it can, or was not tried."""
+    if item is None or item.type != "MESH":
+        return ""
+    return _stamp_faults.get(_stamp_key(item), "")
 
 
 def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float64]:
@@ -193,7 +181,7 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     if not clay:
         return np.eye(4)
     active = bpy.context.view_layer.objects.active if bpy.context.view_layer else None
-    item = active if active in clay else clay[0]
+    item = next((one for one in clay if one == active), clay[0])
     matrix = np.array(item.matrix_world, np.float64)
     axes, _ = np.linalg.qr(matrix[:3, :3])
     frame = np.eye(4)
@@ -203,13 +191,60 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     return frame
 
 
+_held: dict[str, dict[str, Any]] = {}
+
+
+@persistent
+def _before_undo(*_: object) -> None:
+    # The tool in one's hand is no part of what is undone, as with Blender's own brushes.
+    _held.clear()
+    if session.current is not None:
+        for scene in bpy.data.scenes:
+            properties = scene.tactile_clay_sculpt
+            _held[scene.name] = {name: _value(properties, name) for name in _KEPT}
+
+
+@persistent
+def _after_undo(*_: object) -> None:
+    for scene_name, values in _held.items():
+        scene = bpy.data.scenes.get(scene_name)
+        if scene is not None:
+            for name, value in values.items():
+                setattr(scene.tactile_clay_sculpt, name, value)
+    _held.clear()
+
+
+def _value(properties: Any, name: str) -> Any:
+    value = getattr(properties, name)
+    return tuple(value) if name == "color" else value
+
+
+_KEPT = (
+    "tool", "radius_chosen", "strength", "use_pressure", "mirror_x", "mirror_y", "mirror_z", "color"
+)  # fmt: skip
+_HANDLERS = (
+    ("undo_pre", _before_undo),
+    ("redo_pre", _before_undo),
+    ("undo_post", _after_undo),
+    ("redo_post", _after_undo),
+)
+
+
 def register() -> None:
     """Register the properties and hang them on scenes."""
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler not in handlers:
+            handlers.append(handler)
     bpy.utils.register_class(ClaySculptProperties)
     bpy.types.Scene.tactile_clay_sculpt = bpy.props.PointerProperty(type=ClaySculptProperties)
 
 
 def unregister() -> None:
     """Take the properties away; what a .blend keeps stays in it."""
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)
     del bpy.types.Scene.tactile_clay_sculpt
     bpy.utils.unregister_class(ClaySculptProperties)

@@ -111,8 +111,8 @@ class ParticleSurface:
         near = self._slab(start, way, radius) - start
         height = near @ way
         beside = np.einsum("ij,ij->i", near, near) - height**2
-        counted = height[(beside < radius**2) & (height < most)]
-        return max(float(counted.max(initial=0.0)) + SKIN * self.spacing, 0.0)
+        counted = height[(beside < radius**2) & (height > 0.0) & (height < most)]
+        return float(counted.max()) + SKIN * self.spacing if len(counted) else 0.0
 
     def nearest_distance(self, origin: ArrayLike, direction: ArrayLike) -> float | None:
         """Distance along a ray to abreast of the particle nearest to it [m]; None without any.

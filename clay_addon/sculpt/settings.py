@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ..tool_presets import ToolPreset
 from .tools import BY_IDENTIFIER, Tool
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class ToolMesh:
     """A closed mesh that works the clay, in its own coordinates."""
 
@@ -23,7 +24,7 @@ class ToolMesh:
     """Coulomb friction coefficient."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BrushSettings:
     """What a brush is set to."""
 
@@ -45,8 +46,8 @@ class BrushSettings:
     """Distance of neighbouring particles [m]."""
     scale: float = 1.0
     """Metres in a Blender unit."""
-    stamp: ToolMesh | None = None
-    """What the user stamps with, in brush radii; None for the stamp that comes along."""
+    stamp: ToolPreset | None = None
+    """What the user stamps with; None for the stamp that comes along."""
     stamp_key: str = ""
     """Tells stamps apart."""
 

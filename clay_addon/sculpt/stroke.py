@@ -45,17 +45,26 @@ class Stroke:
         view: What the cursor is in.
         x: From the region's left edge [pixels].
         y: From its lower edge [pixels].
+        sole: How far the tool reaches sideways [m]; the brush's radius where that is more.
 
     Raises:
         LookupError: There is no clay in front of the eye.
     """
 
     def __init__(
-        self, settings: BrushSettings, surface: ParticleSurface, view: View, x: float, y: float
+        self,
+        settings: BrushSettings,
+        surface: ParticleSurface,
+        view: View,
+        x: float,
+        y: float,
+        *,
+        sole: float = 0.0,
     ) -> None:
         self.settings = settings
         self.tool = settings.tool
         self.surface = surface
+        self._sole = max(sole, settings.radius)
         self.path = SurfacePath(
             surface, settings.radius, level=self.tool.path == "level", flat=self.is_flat
         )
@@ -189,7 +198,7 @@ class Stroke:
         self.enabled = False
         if self.tool.path != "view":
             radius = self.settings.radius
-            wide = radius * (2.2 if self.tool.path == "pinch" else 1.0)
+            wide = self._sole + (PINCH_OPEN * radius if self.tool.path == "pinch" else 0.0)
             height = self.surface.height_above(
                 self.base.point, self.base.normal, wide, 2.5 * radius
             )

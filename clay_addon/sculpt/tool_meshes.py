@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from functools import lru_cache
 
+import numpy as np
+
+from ..tool_presets import load_tool_preset
 from .settings import BrushSettings, ToolMesh
 from .tools import Tool
 
 WIRE_LENGTH = 1.0
 """Of a wire's mesh [m]; its pose stretches it."""
-_WIRE_THICKNESS = 0.7
-"""Diameter of a wire [spacings]: enough to part the clay, too little to plough it."""
+_WIRE_THICKNESS = 0.9
+"""Diameter of a wire [spacings]: thinner, the solver no longer cuts cleanly; see the presets."""
 FINGERS_SIZE = 0.6
 """Of the two fingers of a pinch [brush radii]."""
 
@@ -31,22 +33,36 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
         return []
     if tool.path == "view":
         return [_wire(settings.spacing)]
-    if tool.identifier == "STAMP" and settings.stamp is not None:
-        return [_sized(settings.stamp, settings.radius)]
-    mesh = _preset_mesh(tool, settings)
-    if tool.path == "pinch":
-        finger = _sized(mesh, FINGERS_SIZE)
-        return [finger, finger]
-    return [mesh]
+    preset = settings.stamp if tool.identifier == "STAMP" else None
+    if preset is None:
+        assert tool.preset is not None
+        preset = _preset(tool.preset)
+    size = FINGERS_SIZE if tool.path == "pinch" else 1.0
+    vertices = preset.fitted(size * settings.radius, settings.spacing)
+    mesh = ToolMesh(vertices, preset.faces, preset.friction)
+    return [mesh, mesh] if tool.path == "pinch" else [mesh]
 
 
-def _sized(mesh: ToolMesh, size: float) -> ToolMesh:
-    return ToolMesh(mesh.vertices * size, mesh.faces, mesh.friction)
+def is_thin(tool: Tool) -> bool:
+    """Whether a tool has a blade, whose thickness depends on the spacing and not on the radius."""
+    return tool.preset is not None and _preset(tool.preset).thickness > 0.0
 
 
-def _preset_mesh(tool: Tool, settings: BrushSettings) -> ToolMesh:
-    vertices, faces = ball_mesh()
-    return ToolMesh(vertices * settings.radius, faces)
+def sole_radius(parts: list[ToolMesh], radius: float) -> float:
+    """How far a tool reaches sideways near the clay [m].
+
+    Args:
+        parts: What `tool_parts` gave.
+        radius: Of the brush that they were made for [m].
+    """
+    reach = radius
+    for mesh in parts:
+        low = mesh.vertices[mesh.vertices[:, 2] < radius]
+        reach = max(reach, float(np.hypot(low[:, 0], low[:, 1]).max(initial=0.0)))
+    return reach
+
+
+_preset = lru_cache(load_tool_preset)
 
 
 def _wire(spacing: float) -> ToolMesh:
@@ -67,33 +83,4 @@ def _wire(spacing: float) -> ToolMesh:
         )
     )
     poles = np.array([[0.0, 0.0, -0.5 * WIRE_LENGTH], [0.0, 0.0, 0.5 * WIRE_LENGTH]])
-    return ToolMesh(np.concatenate((low, high, poles)), faces.astype(np.int32))
-
-
-def ball_mesh(rings: int = 12, segments: int = 24) -> tuple[NDArray, NDArray[np.int32]]:
-    """A ball of radius 1 that lies on the origin, its tip there.
-
-    Returns:
-        Vertices, shape [V, 3], and triangles, shape [F, 3], wound outward.
-    """
-    polar = np.pi * np.arange(1, rings) / rings
-    turn = 2.0 * np.pi * np.arange(segments) / segments
-    body = np.stack(
-        (
-            np.sin(polar)[:, None] * np.cos(turn),
-            np.sin(polar)[:, None] * np.sin(turn),
-            np.broadcast_to(1.0 - np.cos(polar)[:, None], (rings - 1, segments)),
-        ),
-        axis=-1,
-    ).reshape(-1, 3)
-    vertices = np.concatenate((body, [[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]]))
-    here, following = np.arange(segments), (np.arange(segments) + 1) % segments
-    bottom, top = len(body), len(body) + 1
-    faces = [np.column_stack((np.full(segments, bottom), following, here))]
-    for ring in range(rings - 2):
-        low, high = ring * segments, (ring + 1) * segments
-        faces.append(np.column_stack((low + here, low + following, high + following)))
-        faces.append(np.column_stack((low + here, high + following, high + here)))
-    last = (rings - 2) * segments
-    faces.append(np.column_stack((last + here, last + following, np.full(segments, top))))
-    return vertices, np.concatenate(faces).astype(np.int32)
+    return ToolMesh(np.concatenate((low, high, poles)), faces.astype(np.int32), friction=0.0)
