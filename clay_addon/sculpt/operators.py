@@ -10,7 +10,6 @@ from ..clay_points import keep_sculpted, replace_points
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
-from .properties import SceneSource
 from .session import SculptError, SculptSession
 
 _TICK_SECONDS = 1.0 / 120.0
@@ -110,8 +109,11 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             overlay.hide()
             self._brush.cancel()
             self._brush = None
-        if running is not None and session.current is running:
-            session.stop(context)
+        if running is not None:
+            if session.current is running:
+                session.stop(context)
+            for message in running.messages:
+                self.report({"INFO"}, message)
         if context.workspace:
             context.workspace.status_text_set(None)
         redraw(context)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
@@ -18,9 +19,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.recording_lock import recording_lock
 from .. import bake_operators
 from ..bake_touch import own_touch
+from ..cache import CacheError
 from ..clay_points import keep_sculpted, write_points
+from ..live_surface import LiveSurface
 from ..mesh_geometry import local_from_world, transform
 from ..pack import is_packed
 from ..playback import paused, refresh
@@ -40,6 +44,7 @@ from .live_touch import LiveTouch
 from .pace import Pace
 from .solver_worker import SolverWorker, Stepped, step
 from .structure import structure
+from .take import Mark, TakeError, TakeRecorder
 from .undo_states import UndoStates
 
 if TYPE_CHECKING:
@@ -137,8 +142,6 @@ class SculptSession:
         self.pace = Pace()
         self.budget = FrameBudget()
         self.undo = UndoStates()
-        self.state = "Starting"
-        """What the session does at the moment, in words."""
         self._clock = clock
         self._worker = SolverWorker()
         self._structure: Hashable = None
@@ -152,6 +155,13 @@ class SculptSession:
         """Where all particles are seen, world [Blender units], shape [N, 3]."""
         self._kept = self.positions
         self._closing = ExitStack()
+        self._surface: LiveSurface | None = None
+        self._recording = bool(context.scene.tactile_clay.record_take)
+        self._take: TakeRecorder | None = None
+        self._ended_take: TakeRecorder | None = None
+        self._take_start = Mark(0.0, 0)
+        self.messages: list[str] = []
+        """What a person should know, in sentences."""
         refresh(context.scene)
         try:
             self._device = solver_device(context, device)
@@ -225,7 +235,7 @@ class SculptSession:
             return True
         news = stepped is not None
         if stepped is not None:
-            self._look_at(stepped)
+            self._look_at(scene, stepped)
         if self._has_stroke_ended():
             if stepped is not None:
                 self._show(scene, stepped)
@@ -244,6 +254,11 @@ class SculptSession:
         # The rest is done while the solver works.
         if stepped is not None:
             self._show(scene, stepped)
+        if self._surface is None:
+            self._open_surface(context)
+        else:
+            with self.budget.measured("surface"):
+                news = self._surface.show() or news
         if self._changed:
             self.autosave.now_and_then(scene, self._clock())
         return news
@@ -260,6 +275,8 @@ class SculptSession:
             for collider, (pose, enabled) in zip(self._colliders, poses, strict=True):
                 collider.set_pose(pose)
                 collider.set_enabled(enabled)
+            if self._take is not None:
+                self._take.look(context.evaluated_depsgraph_get(), poses)
         solver = self.simulation.solver
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
@@ -272,8 +289,12 @@ class SculptSession:
         if edit_clay(context, clay, edits):
             self._changed = True
             self._touched_at = self._clock()
+            if self._take is not None:
+                for edit in edits:
+                    parameters = asdict(edit)
+                    self._take.edit(parameters.pop("kind"), parameters)
 
-    def _look_at(self, stepped: Stepped) -> None:
+    def _look_at(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""
         if not np.isfinite(stepped.positions).all():
             raise SculptError(
@@ -281,10 +302,13 @@ class SculptSession:
                 "substeps."
             )
         if not stepped.duration:
+            self._begin_take(scene)
             return
         self.pace.took(stepped.duration, stepped.seconds)
         self.budget.took("simulate", stepped.seconds)
-        self.state = "Sculpting"
+        if self._take is not None:
+            world = stepped.positions / np.float32(self.simulation.scale)
+            self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
         felt = any(contacts.forces.any() for contacts in stepped.contacts)
@@ -303,6 +327,13 @@ class SculptSession:
                 self._changed = self._moved() > _MOVED * self.spacing
             for item, positions in self.by_object(scene, world):
                 write_points(item, transform(local_from_world(item), positions))
+        self._offer_surface(scene)
+
+    def _offer_surface(self, scene: bpy.types.Scene) -> None:
+        """Have a surface made of what is shown."""
+        if self._surface is not None:
+            parts = self.by_object(scene, self.positions)
+            self._surface.offer([(points, clay_colors(item)) for item, points in parts])
 
     def _moved(self) -> float:
         """How far any clay has come since the last undo step [Blender units]."""
@@ -342,7 +373,8 @@ class SculptSession:
         state = None
         if self.simulation.solver is not None and not self._worker.busy:
             state = self.simulation.snapshot()
-        self.undo.keep(scene, state)
+        mark = self._take.mark() if self._take is not None else None
+        self.undo.keep(scene, state, mark)
         self._kept = self.positions
         self._changed = False
         push_undo(message)
@@ -360,8 +392,12 @@ class SculptSession:
         self._taken_back = True
 
     def _take_back(self, context: bpy.types.Context) -> None:
+        scene = context.scene
         self._taken_back = self._changed = False
-        self._begin_build(context, state=self.undo.state(context.scene))
+        self._begin_build(context, state=self.undo.state(scene), goes_on=False)
+        if self._take is not None:
+            mark = self.undo.mark(scene) or self._take_start
+            self._with_take(partial(self._take.rewind, mark, self.simulation))
 
     # Building -----------------------------------------------------------------------------------
 
@@ -369,14 +405,20 @@ class SculptSession:
         return structure(scene) != self._structure or self.tools.mesh_key != self._tool_key
 
     def _begin_build(
-        self, context: bpy.types.Context, *, state: dict[str, NDArray] | None = None
+        self,
+        context: bpy.types.Context,
+        *,
+        state: dict[str, NDArray] | None = None,
+        goes_on: bool = True,
     ) -> None:
         """Build the solver from the clay as Blender shows it.
 
         Args:
             context: Its scene is the session's.
             state: A state of the solver to take up, where that still fits.
+            goes_on: Whether this is what comes next, and not what was before.
         """
+        before = [part.name for part in self.simulation.parts] if self._structure else []
         self._structure = structure(context.scene)
         self._tool_key = self.tools.mesh_key
         self.simulation = simulation = Simulation(context, live=True)
@@ -388,7 +430,21 @@ class SculptSession:
             self._colliders.append(collider)
         self.positions = self._kept = np.concatenate(simulation.rest)
 
+        if self._take is not None:
+            self._take.use_tools(self.tools.meshes())
+            if goes_on:
+                self._with_take(partial(self._take.rebuilt, simulation))
+        if self._surface is not None:
+            if before != [part.name for part in simulation.parts]:
+                self._close_surface()
+            else:
+                self._offer_surface(context.scene)
+
         def build() -> Stepped:
+            from ..quick_surface import load_kernels
+
+            with recording_lock:
+                load_kernels()
             simulation.build(prepared, self._device)
             assert simulation.solver is not None
             if state is not None:
@@ -400,6 +456,56 @@ class SculptSession:
             return step(simulation.solver, 0.0, (), ())
 
         self._worker.begin(build)
+
+    # The surface, and the take ------------------------------------------------------------------
+
+    def _open_surface(self, context: bpy.types.Context) -> None:
+        clay = [context.scene.objects[part.name] for part in self.simulation.parts]
+        self._surface = LiveSurface(context, clay)
+        self._offer_surface(context.scene)
+
+    def _close_surface(self) -> None:
+        surface, self._surface = self._surface, None
+        if surface is not None:
+            surface.close()
+
+    def _begin_take(self, scene: bpy.types.Scene) -> None:
+        """Begin to record, once the solver is built for the first time."""
+        if not self._recording or self._take is not None:
+            return
+        self._recording = False
+        try:
+            self._take = TakeRecorder.begin(scene, self.simulation)
+        except TakeError as error:
+            self.messages.append(f"No take is recorded: {error}")
+            return
+        self._take.use_tools(self.tools.meshes())
+        self._take_start = self._take.mark()
+
+    def _with_take(self, act: Callable[[], None]) -> None:
+        """Do something with the take; where it cannot go on, it ends and is kept."""
+        try:
+            act()
+        except TakeError as error:
+            self.messages.append(str(error))
+            self._take, self._ended_take = None, self._take
+
+    def _finish_take(self, scene: bpy.types.Scene | None) -> None:
+        take, self._take = self._take or self._ended_take, None
+        self._ended_take = None
+        if take is None:
+            return
+        if scene is None:
+            take.leave()
+            return
+        try:
+            stored = take.finish(scene)
+        except (TakeError, CacheError) as error:
+            self.messages.append(str(error))
+            return
+        self.messages += stored.warnings
+        self.messages.append(f"Take on frames {stored.first} to {stored.last}")
+        push_undo("Record Take")
 
     def _scene(self, context: bpy.types.Context) -> bpy.types.Scene:
         scene = context.scene
@@ -417,9 +523,12 @@ class SculptSession:
         """
         with self._closing:
             self._worker.wait()
+            scene = None
             try:
                 scene = self._scene(context) if context is not None else None
                 if scene is not None:
+                    # What is kept is the clay itself, and not what stands for it.
+                    self._close_surface()
                     stepped = self._worker.take()
                     if stepped is not None and np.isfinite(stepped.positions).all():
                         self._show(scene, stepped)
@@ -429,10 +538,12 @@ class SculptSession:
                         self.before_saving(scene)
             except (SculptError, SimulationError, ReferenceError, KeyError):
                 # What it was about is gone; what was kept before stays.
-                pass
+                scene = None
             finally:
+                self._close_surface()
                 self._worker.close()
                 self.autosave.close()
+        self._finish_take(scene)
 
 
 current: SculptSession | None = None
