@@ -40,7 +40,7 @@ from .take_store import Stored, store_take
 from .take_writer import TakeWriter
 
 if TYPE_CHECKING:
-    from .session import ToolMesh
+    from .settings import ToolMesh
 
 SECONDS_AT_RISK = 2.0
 """So much simulated time goes into one file [s]."""

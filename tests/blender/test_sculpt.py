@@ -153,7 +153,7 @@ INTERRUPTED = """
 import threading
 
 def threads():
-    return sorted(t.name for t in threading.enumerate() if t.name.startswith("clay"))
+    return sorted(t.name for t in threading.enumerate() if t.name.startswith(("clay-", "clay ")))
 
 def handlers():
     lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]
@@ -172,22 +172,23 @@ def steps():
     print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
-    # What a person may do to clay meanwhile.
-    with in_view():
-        bpy.ops.object.select_all(action="DESELECT")
-        clay().select_set(True)
-        bpy.context.view_layer.objects.active = clay()
-        bpy.ops.object.duplicate()
-        bpy.context.object.location.x += 0.1
+    # What a person may do to clay meanwhile, in the outliner: in the view its surface stands for it.
+    other = clay().copy()
+    other.data = clay().data.copy()
+    other.location.x += 0.1
+    bpy.context.scene.collection.objects.link(other)
     yield lambda: [part.count for part in sessions.current.simulation.parts] == [1000, 1000]
     yield after(0.1)
-    bpy.context.object.name = "Other"
+    other.name = "Other"
     yield lambda: sessions.current.simulation.parts[1].name == "Other"
-    bpy.context.object.hide_set(True)
+    other.hide_viewport = True
+    yield lambda: len(sessions.current.simulation.parts) == 1
     yield after(0.1)
-    with in_view():
-        bpy.data.objects["Other"].hide_set(False)
-        bpy.ops.object.delete()
+    other.hide_viewport = False
+    yield lambda: len(sessions.current.simulation.parts) == 2
+    other.hide_set(True)
+    yield after(0.1)
+    bpy.data.objects.remove(other)
     yield lambda: len(sessions.current.simulation.parts) == 1
     yield after(0.1)
     print("CLAY CAME AND WENT", flush=True)
@@ -200,9 +201,7 @@ def steps():
     yield 0.5
     start()
     yield moves
-    with in_view():
-        bpy.ops.object.select_all(action="SELECT")
-        bpy.ops.object.delete()
+    bpy.data.objects.remove(clay())
     yield lambda: sessions.current is None
     print("NO CLAY LEFT", threads(), flush=True)
 
