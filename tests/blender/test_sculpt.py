@@ -172,7 +172,7 @@ def steps():
     print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
-    # What a person may do to clay meanwhile, in the outliner: in the view its surface stands for it.
+    # What a person may do in the outliner meanwhile; in the view a surface stands for the clay.
     other = clay().copy()
     other.data = clay().data.copy()
     other.location.x += 0.1
