@@ -209,10 +209,11 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
 
         server = add("array-server", "drive an ultrasound array with focal points", _array_server)
         add_server_arguments(server)
-        demo = add("demo", "make and render the kindergarten scene", _demo)
-        demo.add_argument(
-            "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
-        )
+
+    demo = add("demo", "make and render the kindergarten scene", _demo)
+    demo.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
+    )
     add_track(commands, carry_out=_track)
     return parser
 
