@@ -30,8 +30,26 @@ for module in (pysplashsurf, trimesh, warp, websockets):
 """
 
 
+MAKE_CLAY = """
+import bpy
+
+bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+bpy.ops.mesh.primitive_cube_add(size=0.04)
+assert bpy.ops.clay.make(spacing=0.01) == {"FINISHED"}
+bpy.ops.wm.save_userpref()
+"""
+
+
+def files_of(folder: Path) -> set[str]:
+    """List the files below a folder."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
 def test_extension_installs_switches_and_uninstalls(blender: Any, extension_zip: Path) -> None:
-    """Install, disable, enable and remove the extension without an error or a trace."""
+    """Install, disable, enable, use and remove the extension without an error or a trace."""
+    saved = blender.run_script("import bpy; bpy.ops.wm.save_userpref()")
+    assert saved.exit_code == 0, saved.output
+    before = files_of(blender.profile)
     installed = blender.install(extension_zip)
     assert installed.exit_code == 0, installed.output
     assert "Traceback" not in installed.output
@@ -48,10 +66,18 @@ def test_extension_installs_switches_and_uninstalls(blender: Any, extension_zip:
         "STATE disabled (False, False)",
     ]
 
+    enabled = f"import bpy; bpy.ops.preferences.addon_enable(module={MODULE!r})"
+    used = blender.run_script(enabled + MAKE_CLAY)
+    assert used.exit_code == 0, used.output
+
+    assert len(files_of(blender.profile)) > len(before) + 500
     removed = blender.uninstall()
     assert removed.exit_code == 0, removed.output
-    left = [path for path in blender.profile.rglob("*") if "tactile_clay" in path.name]
-    assert left == []
+    left = files_of(blender.profile) - before
+    # Blender's own, of every extension that it has ever looked at.
+    assert left <= {"extensions/.cache/compat.dat"}
+    folders = [path for path in blender.profile.rglob("*") if "tactile_clay" in path.name]
+    assert folders == []
 
 
 def test_wheels_are_the_bundled_ones(blender_with_extension: Any) -> None:
