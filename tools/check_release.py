@@ -102,8 +102,7 @@ def check_zip(path: Path, platform: str, manifest: dict[str, Any]) -> Iterator[s
         for name in sorted((sources.keys() | wheels | {MANIFEST}) - names):
             yield f"{name} is missing"
         for name in sorted(names - sources.keys() - wheels - {MANIFEST}):
-            known = (ROOT / name).is_file()
-            yield f"{name} {'is not under version control' if known else 'does not belong in it'}"
+            yield f"{name} does not belong in it, or is not under version control"
         for name in sorted(names & sources.keys() - {MANIFEST}):
             if archive.read(name) != sources[name].read_bytes():
                 yield f"{name} differs from the repository's"

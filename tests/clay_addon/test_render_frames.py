@@ -128,7 +128,7 @@ def test_command_renders_from_a_cache_elsewhere(
     assert main(["render", str(shot), *options, "--cache", str(tmp_path / "elsewhere")]) == 0
     said = capfd.readouterr()
     assert said.out.startswith("3 frames rendered, 0 kept.\nPictures: ")
-    assert said.err.count("\nSaved: '") == 3
-    assert f"\nSaved: '{tmp_path / 'out' / 'f_0004.png'}'\n" in said.err
+    for number in (1, 2, 4):
+        assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in said.err
     assert main(["render", str(shot), "--frames", "1;2"]) == 2
     assert "'1;2' is not a range such as 1-120" in capfd.readouterr().err
