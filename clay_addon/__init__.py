@@ -25,6 +25,7 @@ _MODULES = (
     "touch_sensitivity",
     "touch_record",
     "touch_overlay",
+    "sculpt.properties",
     "command_line",
     "panel",
     "touch_panel",
@@ -32,6 +33,8 @@ _MODULES = (
     "tracking.live",
     "tracking.operators",
     "tracking.panel",
+    "sculpt.autosave",
+    "sculpt.operators",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -25,6 +25,7 @@ from .bake_checks import (
 from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
+from .clay_points import SCULPTED_MARK
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
@@ -204,6 +205,8 @@ def bake_steps(
                     cache.write_meta(meta)
                 else:
                     cache.begin(meta, simulation.colors)
+                    for item in clay_objects(scene):
+                        item.data.pop(SCULPTED_MARK, None)
                 missing = [frame for frame in range(start, end + 1) if frame not in known]
                 if missing:
                     frames = _simulate(simulation, device, cache, meta, known, missing, tally)

@@ -49,6 +49,11 @@ def _become_custom(properties: Any, context: bpy.types.Context) -> None:
         properties.material_preset = CUSTOM
 
 
+def _tag_object(properties: Any, context: bpy.types.Context) -> None:
+    # Values of add-ons do not reach the evaluated object by themselves.
+    properties.id_data.update_tag()
+
+
 def _get_spacing(properties: Any) -> float:
     # Half a centimetre whatever the scene's unit scale, until a value is chosen.
     return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
@@ -145,6 +150,12 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
             ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
         ),
         default="AUTO",
+    )
+    collider_enabled: bpy.props.BoolProperty(
+        name="Touches Clay",
+        description="Whether the clay feels this object; keyframes can lift a tool off and set it",
+        default=True,
+        update=_tag_object,
     )
     collider_friction: bpy.props.FloatProperty(
         name="Friction",

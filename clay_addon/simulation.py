@@ -35,11 +35,17 @@ from .mesh_geometry import (
 from .preferences import device_choice, missing_parts
 
 if TYPE_CHECKING:
-    from ..solver import MeshCollider, Solver
+    from ..solver import MeshCollider, Scene, Solver
 
 
 _HELD = "scene_hand_{}_held"
 """Key of the pose that a hand holds, in a snapshot."""
+_REFUSED = "The solver cannot take this scene: {}"
+
+
+LIVE_HOLD_STIFFNESS = 600.0
+"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
+fingertip pressed with 6 N is a centimetre behind."""
 
 
 class SimulationError(Exception):
@@ -60,6 +66,11 @@ def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The colliders of a scene, by name."""
     found = [item for item in scene.objects if item.tactile_clay.role == "COLLIDER"]
     return sorted(found, key=lambda item: item.name)
+
+
+def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the clay feels a collider at the current frame."""
+    return bool(item.evaluated_get(depsgraph).tactile_clay.collider_enabled)
 
 
 def frames_per_second(scene: bpy.types.Scene) -> float:
@@ -86,16 +97,22 @@ def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
     return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
 
 
-def rest_positions(item: bpy.types.Object) -> NDArray[np.float32]:
-    """World positions the clay starts from [Blender units], shape [N, 3].
+def clay_positions(
+    item: bpy.types.Object, attribute: str = "rest_position"
+) -> NDArray[np.float32]:
+    """World positions of a clay object's points [Blender units], shape [N, 3].
+
+    Args:
+        item: A clay object.
+        attribute: ``rest_position``, which a bake starts from, or ``position``, which is shown.
 
     Raises:
         SimulationError: The object is not as Make Clay made it, or it is scaled.
     """
-    local = read_points(item, "rest_position")
+    local = read_points(item, attribute)
     if local is None:
         raise SimulationError(
-            f"{item.name!r} has lost its attribute rest_position, so the shape it starts from is "
+            f"{item.name!r} has lost its attribute {attribute}, so the shape it starts from is "
             "unknown. Undo, or make the clay again."
         )
     if not len(local):
@@ -185,33 +202,41 @@ class _FlatCollider:
 class Simulation:
     """A Blender scene ready to be simulated, as it is at the current frame.
 
-    The current frame must be the first one. Making it checks everything that can be checked and
-    starts no solver yet.
+    For a bake the current frame must be the first one. Making it checks everything that can be
+    checked and starts no solver yet.
 
     Args:
         context: Its scene is what is simulated.
+        live: For a live session: clay starts as it is shown, what is switched off in the viewport
+            is left out, and hands give way to the clay.
 
     Raises:
         SimulationError: Something in the scene is wrong; the message names the object and says
             what to do.
     """
 
-    def __init__(self, context: bpy.types.Context) -> None:
+    def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
         scene = context.scene
         self.scene = scene
         self.scale = scene.unit_settings.scale_length
-        clay = clay_objects(scene)
-        if not clay:
+        self.live = live
+        if not clay_objects(scene):
             raise SimulationError(
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
         # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
-        self.hands = _read_hands(context)
+        self.hands = _read_hands(context, live=live)
         depsgraph = context.evaluated_depsgraph_get()
+        clay = _simulated(clay_objects(scene), depsgraph, live=live)
+        if not clay:
+            raise SimulationError(
+                "All clay of the scene is switched off in the viewport. Switch some of it on."
+            )
         _check_clay(clay, depsgraph)
         self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
         self.materials = tuple(_checked_material(item) for item in clay)
-        self.rest = [rest_positions(item) for item in clay]
+        attribute = "position" if live else "rest_position"
+        self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
         self.spacing = _common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
@@ -222,7 +247,7 @@ class Simulation:
         self._meshes: list[_MovingCollider] = []
         self._frictions: dict[str, float] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
-        for item in collider_objects(scene):
+        for item in _simulated(collider_objects(scene), depsgraph, live=live):
             self._add_collider(item, depsgraph, middle)
         self.solver: Solver | None = None
 
@@ -290,7 +315,15 @@ class Simulation:
         Raises:
             SimulationError: The solver refuses the scene; the message says why.
         """
-        from ..solver import Scene, Solver
+        self.build(self.prepare(depsgraph), device)
+
+    def prepare(self, depsgraph: bpy.types.Depsgraph) -> Scene:
+        """Say what is in the solver's scene, at the current frame.
+
+        Raises:
+            SimulationError: The solver refuses it; the message says why.
+        """
+        from ..solver import Scene
 
         try:
             scene = Scene(spacing=self.spacing * self.scale, gravity=self.gravity.tolist())
@@ -307,20 +340,42 @@ class Simulation:
                 vertices, _ = self._state(part, depsgraph)
                 friction = self._frictions[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+                part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)
-            self.feed(depsgraph)
-            self.solver = Solver(scene, self.settings, device=device)
+            self.follow(depsgraph)
         except HandError as error:
             raise SimulationError(str(error)) from error
-        except (MeshError, ValueError, RuntimeError) as error:
-            raise SimulationError(f"The solver cannot take this scene: {error}") from error
+        except (MeshError, ValueError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
+        return scene
+
+    def build(self, scene: Scene, device: str) -> None:
+        """Build the solver; this needs no Blender, so any thread may do it.
+
+        Args:
+            scene: What `prepare` gave.
+            device: What `solver_device` gave.
+
+        Raises:
+            SimulationError: The solver refuses the scene; the message says why.
+        """
+        from ..solver import Solver
+
+        try:
+            self.solver = Solver(scene, self.settings, device=device)
+        except (ValueError, RuntimeError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
+        """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
+        return bytes.fromhex(_digest(*self.follow(depsgraph)))
+
+    def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
         """Tell the solver, if it runs, where colliders and hands are at the current frame.
 
         Returns:
-            Sixteen bytes that say what they do.
+            What they do: all that decides the next step.
 
         Raises:
             SimulationError: A collider did what a solver cannot follow, or a hand is gone.
@@ -328,9 +383,11 @@ class Simulation:
         self._check_followed(depsgraph)
         self._check_planes(depsgraph)
         states = [self._state(part, depsgraph) for part in self._meshes]
-        for part, (vertices, pose) in zip(self._meshes, states, strict=True):
+        enabled = [is_enabled(part.item, depsgraph) for part in self._meshes]
+        for part, (vertices, pose), touches in zip(self._meshes, states, enabled, strict=True):
             if part.handle is None:
                 continue
+            part.handle.set_enabled(touches)
             try:
                 if not np.array_equal(vertices, part.handle.vertices):
                     part.handle.set_vertices(vertices)
@@ -339,7 +396,9 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        return bytes.fromhex(_digest(*states, *self._feed_hands(depsgraph)))
+        lifted = [which for which, touches in enumerate(enabled) if not touches]
+        said = [("lifted", *lifted)] if lifted else []
+        return [*states, *said, *self._feed_hands(depsgraph)]
 
     def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
         try:
@@ -431,6 +490,13 @@ class Simulation:
 
     def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
         for plane in self._planes:
+            if not is_enabled(plane.item, depsgraph):
+                raise SimulationError(
+                    f"{plane.item.name!r} does not touch the clay at frame "
+                    f"{self.scene.frame_current}, but an endless plane always does. Switch "
+                    "Touches Clay on, or give it thickness (Solidify modifier), so that it is a "
+                    "closed mesh."
+                )
             vertices, _ = evaluated_mesh(plane.item, depsgraph)
             matrix = plane.item.evaluated_get(depsgraph).matrix_world
             away = (transform(matrix, vertices) - plane.point) @ plane.normal
@@ -467,14 +533,25 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
     Raises:
         SimulationError: The clay cannot be simulated.
     """
-    return _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay))
+    return _digest(*((item.tactile_clay.spacing, clay_positions(item)) for item in clay))
 
 
-def _read_hands(context: bpy.types.Context) -> list[MovingHand]:
+def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
+    hold_stiffness = LIVE_HOLD_STIFFNESS if live else None
+    hands = hand_objects(context.scene)
+    if hands and live:
+        hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)
     try:
-        return [MovingHand(context, item) for item in hand_objects(context.scene)]
+        return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
     except HandError as error:
         raise SimulationError(str(error)) from error
+
+
+def _simulated(
+    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
+) -> list[bpy.types.Object]:
+    """Those that take part: a bake refuses what is switched off, as it may be so by mistake."""
+    return [item for item in objects if not (live and is_switched_off(item, depsgraph))]
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
