@@ -30,6 +30,13 @@ for module in (pysplashsurf, trimesh, warp, websockets):
 """
 
 
+DEMO = """
+import sys
+from bl_ext.user_default.tactile_clay.clay_addon import demo
+
+output = sys.argv[sys.argv.index("--") + 1]
+print("DEMO", demo.main(["--output", output, "--frames", "2", "--width", "32", "--samples", "1"]))
+"""
 MAKE_CLAY = """
 import bpy
 
@@ -88,3 +95,11 @@ def test_wheels_are_the_bundled_ones(blender_with_extension: Any) -> None:
     profile = blender_with_extension.path_inside(blender_with_extension.profile)
     assert [name for _, name, _ in found] == ["pysplashsurf", "trimesh", "warp", "websockets"]
     assert all(file.startswith(profile) for _, _, file in found), found
+
+
+def test_demo_runs_from_the_zip_alone(blender_with_extension: Any) -> None:
+    """Make the demonstration inside Blender, with nothing but what the zip brought."""
+    output = blender_with_extension.folder / "demo"
+    result = blender_with_extension.run_script(DEMO, output)
+    assert "DEMO 0" in result.output, result.output
+    assert {path.suffix for path in output.iterdir()} >= {".blend", ".stl", ".ply", ".glb", ".png"}
