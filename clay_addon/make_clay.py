@@ -76,7 +76,7 @@ def make_clay(
     pieces = _closed_meshes(objects, context.evaluated_depsgraph_get())
     _check_particle_count(pieces, spacing, scene)
     _check_place(pieces, spacing)
-    points = _fill(pieces, spacing, scene)
+    points = fill_pieces(pieces, spacing, scene)
     colors = np.concatenate(
         [
             np.tile(_color_of(item), (len(part), 1))
@@ -182,12 +182,21 @@ def _length(value: float, scene: bpy.types.Scene) -> str:
     return f"{meters * 1e3:.3g} mm"
 
 
-def _fill(
+def fill_pieces(
     pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]],
     spacing: float,
     scene: bpy.types.Scene,
 ) -> list[NDArray[np.float32]]:
-    """Particles of each piece, without those that an earlier piece has already."""
+    """Particles of each piece, without those that an earlier piece has already.
+
+    Args:
+        pieces: Name, world vertices [Blender units] and triangles of each.
+        spacing: Distance between particles [Blender units].
+        scene: Its unit scale counts.
+
+    Raises:
+        ClayError: A piece cannot be filled.
+    """
     from ..solver import fill_mesh
 
     filled: list[NDArray[np.float32]] = []
