@@ -19,7 +19,7 @@ from .rigid import frame_of, tangent_of
 from .settings import BrushSettings, ToolMesh
 from .stroke import HOVER, Stroke
 from .tool_meshes import is_thin, sole_radius, tool_parts
-from .tool_poses import board_pose, copy_poses, part_poses
+from .tool_poses import copy_poses, fence_pose, part_poses
 from .view_region import Pointer, find_pointer, pointer_in
 
 _MOVES = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
@@ -134,7 +134,7 @@ class Brush:
             return []
         shown = zip(meshes, self._poses, strict=True)
         drawn = [(mesh, pose, felt) for mesh, (pose, felt) in shown]
-        # Nobody needs to see the board that holds the clay for a wire.
+        # Nobody needs to see the plate that holds the clay for a wire.
         return drawn[::2] if self._settings.tool.path == "view" else drawn
 
     def poses(self, duration: float) -> list[tuple[NDArray[np.float64], bool]]:
@@ -397,16 +397,19 @@ class Brush:
         own = part_poses(self._settings, len(parts), made_radius, gap, rolled, extent)
         self._poses = copy_poses(self._settings, tip, rotation, enabled, own)
         if self._settings.tool.path == "view":
-            self._add_boards(enabled)
+            self._add_fences(enabled)
 
-    def _add_boards(self, enabled: bool) -> None:
-        """Hold the clay while a wire cuts it; there is a board beside each copy, and one holds."""
-        surface = self._stroke.surface if self._stroke is not None else self._surface()
-        board = board_pose(self._settings, surface.positions, enabled)
-        wires = self._poses
-        self._poses = []
+    def _add_fences(self, enabled: bool) -> None:
+        """Hold the clay while a wire cuts it: beside each copy there is a plate, and one holds."""
+        direction = None if self._stroke is None else self._stroke.direction
+        if self._stroke is None or direction is None:
+            plate = np.eye(4)
+        else:
+            positions = self._stroke.surface.positions
+            plate = fence_pose(self._settings, positions, direction, enabled)
+        wires, self._poses = self._poses, []
         for which, wire in enumerate(wires):
-            self._poses += [wire, (board, enabled and which == 0)]
+            self._poses += [wire, (plate, enabled and direction is not None and which == 0)]
 
     def _place(self, pointer: Pointer) -> NDArray[np.float64]:
         """Where the cursor is in the world [m], also beside the clay."""

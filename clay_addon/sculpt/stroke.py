@@ -87,6 +87,8 @@ class Stroke:
         self.tip = first.point - self.depth * first.normal
         self.gap = PINCH_OPEN * settings.radius
         """Half the distance of two fingers' axes [m]."""
+        self.direction: NDArray[np.float64] | None = None
+        """Unit vector along which a tool that had to know it has set out, shape [3]."""
         self.rolled = 0.0
         """Angle that a tool that rolls has turned [rad]."""
         self.enabled = False
@@ -212,7 +214,8 @@ class Stroke:
         way = (self._queue[-1] if self._queue else self.base).point - self.base.point
         if float(np.linalg.norm(way)) > _DIRECTED * self.settings.radius:
             self._tangent = tangent_of(way, self.base.normal, self._tangent)
-        elif self._waited < _WAIT and not self.released:
+            self.direction = way / float(np.linalg.norm(way))
+        elif not self.released and (self._waited < _WAIT or self.tool.path == "view"):
             return True
         self._undirected = False
         return False
