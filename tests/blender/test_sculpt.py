@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+from tactile_clay.clay_addon.tracking.recording import Recorder
+from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+
 STEPS = (Path(__file__).parent / "window_steps.py").read_text(encoding="utf-8")
 COMMON = """
 import importlib
@@ -208,6 +211,37 @@ def steps():
 run(steps())
 """
 
+HANDS = """
+def steps():
+    make_block()
+    clay().location.y += 0.08
+    with in_view():
+        assert bpy.ops.clay.hand_add(side="right") == {"FINISHED"}
+        bpy.ops.view3d.view_all()
+    bpy.context.view_layer.update()
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", ARGUMENTS[0]
+    live = importlib.import_module(MODULE + ".clay_addon.tracking.live")
+    before = float(points()[:, 2].max())
+    bpy.context.scene.tactile_clay_sculpt.tool = "NONE"
+    with in_view():
+        assert bpy.ops.clay.tracking_start() == {"FINISHED"}
+    yield lambda: live.session.hand("right") is not None and live.session.hand("right").contact == 1.0
+    start()
+    yield moves
+    yield lambda: before - float(points()[:, 2].max()) > 0.006
+    screenshot(ARGUMENTS[1])
+    print("PRESSED", len(sessions.current.simulation.hands), flush=True)
+    print("FELT", sessions.current.felt > 1.0, flush=True)
+    key("ESC")
+    yield lambda: sessions.current is None
+    with in_view():
+        bpy.ops.clay.tracking_stop()
+    print("KEPT", before - float(points()[:, 2].max()) > 0.005, "clay_sculpted" in clay().data)
+
+run(steps())
+"""
+
 
 @pytest.fixture
 def window(blender_with_extension: Any) -> Any:
@@ -263,3 +297,20 @@ def test_a_session_ends_cleanly_whatever_happens_to_it(
     assert "CLAY CAME AND WENT" in result.output
     assert "OFF None [] False" in result.output, result.output
     assert "NO CLAY LEFT []" in result.output
+
+
+def test_a_tracked_hand_presses_the_clay(window: Any, blender_with_extension: Any) -> None:
+    """Play a recorded hand to the session from another process, and let it flatten a block."""
+    folder = blender_with_extension.folder
+    recording, picture = folder / "press.jsonl", folder / "hand.png"
+    recorder = Recorder(recording)
+    for number in range(600):
+        height = 0.16 - 0.14 * min(1.0, max(0.0, (number - 50) / 400))
+        frame = frame_at(number, number, at=(0.0, height, 0.0))
+        recorder.take(frame, number * 10 * MILLISECOND)
+    recorder.close()
+    result = window(HANDS, recording, picture)
+    assert result.exit_code == 0, result.output
+    assert "PRESSED 1" in result.output, result.output
+    assert "FELT True" in result.output, result.output
+    assert "KEPT True True" in result.output, result.output
