@@ -172,6 +172,7 @@ def steps():
     # Another file in the middle of it.
     bpy.ops.wm.open_mainfile(filepath=ARGUMENTS[0])
     yield 0.5
+    yield lambda: not threads()
     print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
@@ -198,6 +199,7 @@ def steps():
     # The extension switched off in the middle of it.
     bpy.ops.preferences.addon_disable(module=MODULE)
     yield 0.5
+    yield lambda: not threads()
     print("OFF", sessions.current, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
     globals()["sessions"] = importlib.import_module(MODULE + ".clay_addon.sculpt.session")
@@ -206,6 +208,7 @@ def steps():
     yield moves
     bpy.data.objects.remove(clay())
     yield lambda: sessions.current is None
+    yield lambda: not threads()
     print("NO CLAY LEFT", threads(), flush=True)
 
 run(steps())
