@@ -12,6 +12,7 @@ _MODULES = (
     "preferences",
     "properties",
     "make_clay",
+    "material_operators",
     "collider",
     "hand_operators",
     "bake_operators",
