@@ -14,6 +14,7 @@ _MODULES = (
     "make_clay",
     "material_operators",
     "collider",
+    "scene_operators",
     "hand_operators",
     "bake_operators",
     "playback",
