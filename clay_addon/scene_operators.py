@@ -288,6 +288,8 @@ class CLAY_MT_add(bpy.types.Menu):  # noqa: N801
         layout.operator_context = "INVOKE_REGION_WIN"
         layout.operator("clay.block_add", text="Block", icon="MESH_CUBE")
         layout.operator("clay.slump_test_add", text="Slump Test", icon="MESH_CYLINDER")
+        layout.operator("clay.hand_add", text="Hand", icon="VIEW_PAN")
+        layout.operator_menu_enum("clay.array_add", "preset", text="Ultrasound Array")
         layout.separator()
         layout.operator("clay.kindergarten_scene_add", text="Kindergarten", icon="SCENE_DATA")
         if _has_wheel_scene():

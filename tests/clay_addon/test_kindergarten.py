@@ -80,7 +80,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
         simulation.step()
     context.scene.frame_set(1)
     after = simulation.positions()
-    names = [item.name for item in scene.pieces]
+    names = [item.name.removesuffix(".001") for item in scene.pieces]
     assert simulation.solver is not None
     return Played(
         {name: before[owner == index] for index, name in enumerate(names)},

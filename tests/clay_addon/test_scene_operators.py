@@ -45,10 +45,12 @@ def test_menu_lists_what_can_be_added(studio: Any, monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(scene_operators, "_has_wheel_scene", lambda there=present: there)
         rows: list[str] = []
         layout = SimpleNamespace(
-            operator=lambda name, rows=rows, **_: rows.append(name), separator=lambda: None
+            operator=lambda name, rows=rows, **_: rows.append(name),
+            operator_menu_enum=lambda name, _, rows=rows, **__: rows.append(name),
+            separator=lambda: None,
         )
         scene_operators.CLAY_MT_add.draw(SimpleNamespace(layout=layout), bpy.context)
-        expected = {f"clay.{name}" for name in ADDED}
+        expected = {f"clay.{name}" for name in (*ADDED, "hand_add", "array_add")}
         assert set(rows) == expected | ({"clay.wheel_scene_add"} if present else set())
         assert bpy.ops.clay.wheel_scene_add.poll() == present
 
