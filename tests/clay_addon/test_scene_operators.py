@@ -49,7 +49,8 @@ def test_menu_lists_what_can_be_added(studio: Any, monkeypatch: pytest.MonkeyPat
             operator_menu_enum=lambda name, _, rows=rows, **__: rows.append(name),
             separator=lambda: None,
         )
-        scene_operators.CLAY_MT_add.draw(SimpleNamespace(layout=layout), bpy.context)
+        menu: Any = SimpleNamespace(layout=layout)
+        scene_operators.CLAY_MT_add.draw(menu, bpy.context)
         expected = {f"clay.{name}" for name in (*ADDED, "hand_add", "array_add")}
         assert set(rows) == expected | ({"clay.wheel_scene_add"} if present else set())
         assert bpy.ops.clay.wheel_scene_add.poll() == present
