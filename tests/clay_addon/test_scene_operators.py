@@ -63,6 +63,20 @@ def test_operators_can_be_undone(studio: Any, name: str) -> None:
     assert {"REGISTER", "UNDO"} <= cls.bl_options
 
 
+def test_adding_is_undone(studio: Any) -> None:
+    """Take a block away with one Undo, and a scene with another, back in the one before."""
+    bpy.ops.ed.undo_push(message="empty")
+    bpy.ops.clay.block_add(size=0.03)
+    bpy.ops.ed.undo_push(message="block")
+    bpy.ops.clay.incline_scene_add(spacing=0.01)
+    bpy.ops.ed.undo_push(message="incline")
+    bpy.ops.ed.undo()
+    assert [scene.name for scene in bpy.data.scenes] == ["Scene"]
+    assert [item.name for item in clay_objects(bpy.context.scene)] == ["Clay block"]
+    bpy.ops.ed.undo()
+    assert list(bpy.context.scene.objects) == []
+
+
 # Block ------------------------------------------------------------------------------------------
 
 
