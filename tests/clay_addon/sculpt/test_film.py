@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.bake import BakeStaleError, bake
 from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.export import clay_surface
 from tactile_clay.clay_addon.hand import hand_message, hand_objects
 from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.film import make_film
@@ -143,9 +144,13 @@ def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
     red = colors[there, 1] < 0.1
     assert red.sum() == (loop.simulation.colors[:, 1] < 0.1).sum() > 5
     assert last[there][red][:, 0].max() < -0.01
+    film.frame_set(film.frame_end)
+    _, count, _ = clay_surface(bpy.context, [fine])
+    assert count == len(live)
     # Stopped after the clay was taken away, and resumed.
     whole = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
-    baked(film, progress=lambda progress: progress.frame < 10)
+    stopped = bake(bpy.context, progress=lambda progress: progress.frame < 10)
+    assert stopped.cancelled and stopped.baked == 10
     assert bpy.ops.clay.resume() == {"FINISHED"}
     again = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
     assert again == whole
