@@ -140,6 +140,15 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
             height = 2.0 * (0.3 - 0.01 * (frame - 1))
             assert tool.matrix_world.translation.z == pytest.approx(height, abs=1e-5)
     assert felt == [4 <= frame < 11 for frame in range(1, 14)]
+    # The next session feels nothing of it, and the next take replaces it.
+    studio.scene.frame_set(6)
+    again = Loop(studio.scene)
+    assert again.simulation.solver is not None
+    assert len(again.simulation.solver.scene.meshes) == 0
+    again.recorder.use_tools([small])
+    again.step(tools=[(np.eye(4), True)])
+    (other,) = again.finish().objects
+    assert [item.name for item in bpy.data.collections["Take Tools"].objects] == [other]
 
 
 def test_undone_strokes_are_not_in_the_take(studio: Any, tmp_path: Path) -> None:
