@@ -268,8 +268,6 @@ def blur_block(  # type: ignore[empty-body]
 
 
 @wp.kernel(enable_backward=False)
-def blur(
-    axis: int, source: wp.array2d[float], target: wp.array2d[float], blocks: Blocks
-) -> None:
+def blur(axis: int, source: wp.array2d[float], target: wp.array2d[float], blocks: Blocks) -> None:
     """Smooth along an axis."""
     blur_block(wp.tid(), axis, source, target, blocks)

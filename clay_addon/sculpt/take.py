@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -39,7 +40,7 @@ from .take_store import Stored, store_take
 from .take_writer import TakeWriter
 
 if TYPE_CHECKING:
-    from .session import ToolMesh
+    from .settings import ToolMesh
 
 SECONDS_AT_RISK = 2.0
 """So much simulated time goes into one file [s]."""
@@ -303,6 +304,13 @@ class TakeRecorder:
         self._writer.do(task, first=True)
 
     # The end ------------------------------------------------------------------------------------
+
+    def leave(self) -> None:
+        """End the take on the disk alone, where its scene is gone; Recover Take finds it there."""
+        self._flush()
+        self._frames.last(self.seconds, self._positions)
+        with suppress(CacheError):
+            self._writer.close()
 
     def finish(self, scene: bpy.types.Scene) -> Stored:
         """End the take and put it on the timeline.

@@ -33,7 +33,9 @@ def block(*counts: int) -> np.ndarray:
 def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
     """Clay that is red on the left and blue on the right."""
     colors = np.where(points[:, :1] < 0, RED, BLUE).astype(np.float32)
-    return make_point_cloud(bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay")
+    return make_point_cloud(
+        bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay"
+    )
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
