@@ -167,6 +167,26 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         "--save", action="store_true", help="store --frames and --cache in the .blend, for playback"
     )
 
+    bake.add_argument(
+        "--again",
+        action="store_true",
+        help="bake the recorded take of the scene with finer clay, in a scene of its own, and save "
+        "that in the .blend; with --resume go on with it",
+    )
+    bake.add_argument(
+        "--spacing",
+        metavar="MM",
+        type=_positive,
+        help="with --again: distance between particles in millimetres (default: half the live one)",
+    )
+    bake.add_argument(
+        "--substeps",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --again: solver steps in each sixtieth of a second (default: the solver's own)",
+    )
+
     export = add("export", "write the clay at a frame as one watertight mesh", _export)
     add_file_options(export)
     export.add_argument(
@@ -218,6 +238,13 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
     return parser
 
 
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+    return value
+
+
 def _frame_range(text: str) -> tuple[int, int]:
     """Two frame numbers from ``1-120``; either may be negative: ``-10--1``."""
     for split in range(1, len(text)):
@@ -246,10 +273,14 @@ def _frame_list(text: str) -> list[int]:
 
 
 def _bake(arguments: argparse.Namespace) -> _Outcome:
+    if not arguments.again and (arguments.spacing or arguments.substeps):
+        raise _CommandError("--spacing and --substeps go with --again.", EXIT_USAGE)
     context, scene = _open(arguments)
     from .bake import BakeError, BakeStaleError, bake
     from .cache import CacheError
 
+    if arguments.again:
+        scene = _film(context, scene, arguments)
     start, end = arguments.frames or (None, None)
     line = _ProgressLine(sys.stderr)
     try:
@@ -270,7 +301,7 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         raise _CommandError(str(error)) from error
     finally:
         line.end()
-    if arguments.save:
+    if arguments.save or arguments.again:
         _save(scene, arguments)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -283,6 +314,28 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         f"Frames {result.start} to {result.end}: {result.baked} baked, {result.kept} kept{pace} "
         f"({result.particle_count:,} particles on {result.device}).\nCache: {result.directory}",
     )
+
+
+def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
+    """The scene in which a scene's take is baked again."""
+    import bpy
+
+    from .sculpt.film import FilmError, make_film
+
+    source = scene.tactile_clay.film_of or scene
+    known = [each for each in bpy.data.scenes if each.tactile_clay.film_of == source]
+    if arguments.resume and known:
+        film = known[0]
+    else:
+        scale = scene.unit_settings.scale_length
+        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        try:
+            film = make_film(context, spacing=spacing, substeps=arguments.substeps)
+        except FilmError as error:
+            raise _CommandError(str(error)) from error
+    if context.window is not None:
+        context.window.scene = film
+    return film
 
 
 def _export(arguments: argparse.Namespace) -> _Outcome:

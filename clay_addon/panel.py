@@ -220,7 +220,10 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
         )
         try:
             # Colliders are not looked at: evaluating them takes too long for a panel.
-            changed = changed_subjects(cache.meta(), scene_digests(scene))
+            meta = cache.meta()
+            if meta.is_take:
+                state = f"A recorded take of {len(frames)} frames, {size_text(cache.size())}."
+            changed = changed_subjects(meta, scene_digests(scene))
             if changed:
                 warning = (
                     f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."
