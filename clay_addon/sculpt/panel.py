@@ -9,7 +9,6 @@ from ..preferences import draw_text
 from ..simulation import clay_objects
 from . import autosave, session
 from .header import draw_brush
-from .take_store import take_start
 
 
 class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
@@ -38,7 +37,7 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
             row = layout.row(align=True)
             row.prop(properties, "record_take", icon="REC")
             row.operator("clay.take_recover", text="", icon="RECOVER_LAST")
-            if any(take_start(item) is not None for item in clay):
+            if any(item.tactile_clay.take_start is not None for item in clay):
                 layout.operator("clay.bake_again", icon="RENDER_ANIMATION")
         else:
             column = layout.column()
