@@ -21,7 +21,8 @@ class Layout:
     def __getattr__(self, name: str) -> Any:
         if name in ("row", "column", "box"):
             return lambda **_: Layout(self.texts)
-        return lambda *_, text="", **__: self.texts.append(text)
+        # A button hands back its operator's options, to be set.
+        return lambda *_, text="", **__: self.texts.append(text) or SimpleNamespace()
 
 
 def drawn(cls: Any) -> str:
