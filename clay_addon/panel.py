@@ -70,7 +70,8 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
             else f"{len(item.data.points):,} particles"
         )
         row = box.row(align=True)
-        row.prop(clay, "material_preset")
+        # Without its label there is room for the name.
+        row.prop(clay, "material_preset", text="")
         row.operator("clay.material_save", text="", icon="ADD")
         row.operator("clay.material_remove", text="", icon="REMOVE")
         column = box.column(align=True)
