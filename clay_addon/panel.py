@@ -107,6 +107,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box = layout.box()
             box.label(text=item.name)
             box.prop(item.tactile_clay, "collider_kind")
+            box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
 
 
@@ -225,7 +226,10 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
         )
         try:
             # Colliders are not looked at: evaluating them takes too long for a panel.
-            changed = changed_subjects(cache.meta(), scene_digests(scene))
+            meta = cache.meta()
+            if meta.is_take:
+                state = f"A recorded take of {len(frames)} frames, {size_text(cache.size())}."
+            changed = changed_subjects(meta, scene_digests(scene))
             if changed:
                 warning = (
                     f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."

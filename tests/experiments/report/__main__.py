@@ -21,6 +21,7 @@ from . import plots
 from .companions import (
     HardCaseResult,
     hard_cases,
+    measure_frames,
     measure_hands,
     run_ablation,
     run_hard_case,
@@ -121,6 +122,8 @@ def main() -> None:
     if not options.quick:
         say("Measuring soft hands, alone ...")
         report.hands = measure_hands()
+        say("Measuring a frame of live sculpting, alone ...")
+        report.frames = measure_frames()
         report.ablation = run_ablation(options.output)
         say("Running touch ...")
         report.touch = run_touch(options.output)

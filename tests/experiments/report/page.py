@@ -54,6 +54,8 @@ class Report:
     """Lines of the part about soft hands."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
+    frames: list[str] = field(default_factory=list)
+    """Lines of the live frame's part."""
     touch: list[str] = field(default_factory=list)
     """Lines of touch's part."""
     seconds: float = 0.0
@@ -95,6 +97,8 @@ def write_page(report: Report, folder: Path) -> None:
         ]
     if report.hands:
         lines += ["## Soft hands", "", *report.hands, ""]
+    if report.frames:
+        lines += ["## A frame of live sculpting", "", *report.frames]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
     if report.touch:
