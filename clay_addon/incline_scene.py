@@ -95,6 +95,9 @@ def build(
     add_camera(context, (0.60, -0.13, 0.40), (0.030, 0.0, 0.010), lens=42.0)
     set_render(scene, 1080, 640)
     look_through_camera(context)
+    for block in blocks[1:]:
+        block.select_set(False)
+    context.view_layer.objects.active = blocks[0]
     return Incline(tuple(blocks), board)
 
 

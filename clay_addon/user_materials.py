@@ -97,14 +97,13 @@ def read_user_materials(folder: Path) -> UserMaterials:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             named = reason if path.name in str(reason) else f"{path.name}: {reason}"
-            problems.append(f"{named} Mend or delete the file in {folder}.")
+            problems.append(f"{named} Mend or delete the file.")
             continue
         number = material_number(found.name)
         if number in taken or found.name in RESERVED_NAMES:
             other = taken.get(number, found.name)
             problems.append(
-                f"{path.name} cannot be told from the preset {other!r}. Give the file in {folder} "
-                "another name."
+                f"{path.name} cannot be told from the preset {other!r}. Give the file another name."
             )
             continue
         taken[number] = found.name

@@ -139,7 +139,7 @@ def test_bad_file_is_named_and_hides_no_good_one(
     assert [each.name for each in found.materials] == ["fine"]
     (problem,) = found.problems
     assert re.search(message, problem)
-    assert "Mend or delete the file in" in problem
+    assert "Mend or delete the file." in problem
     tactile_clay.unregister()
     tactile_clay.register()
     assert problem in drawn(panel.CLAY_PT_clay)
