@@ -158,6 +158,18 @@ def surface_object(
     return bpy.data.objects.new(name, mesh)
 
 
+def show_colors() -> None:
+    """Let solid 3D views that colour by material, as they do at first, colour by attribute.
+
+    So they show the clay's own colours, and everything else as before.
+    """
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            for space in area.spaces:
+                if space.type == "VIEW_3D" and space.shading.color_type == "MATERIAL":
+                    space.shading.color_type = "VERTEX"
+
+
 def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
     """Set an input of a geometry nodes modifier by its name.
 

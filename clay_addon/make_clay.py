@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError, check_closed_mesh, mesh_volume
 from ..solver.material import Material
-from .look import add_look
+from .look import add_look, show_colors
 from .mesh_geometry import (
     SWITCHED_OFF,
     evaluated_mesh,
@@ -383,6 +383,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
         finally:
             if window and not bpy.app.background:
                 window.cursor_modal_restore()
+        show_colors()
         self.report({"INFO"}, f"{clay.name}: {len(clay.data.points):,} particles")
         return {"FINISHED"}
 

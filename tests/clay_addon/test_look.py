@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -117,8 +119,8 @@ def test_switch_and_limit_choose_between_points_and_surface() -> None:
     assert shown(item) is None
 
 
-def render(folder: Path) -> np.ndarray:
-    """Render the clay from the front; pixels, linear, shape [16, 32, 4], transparent outside."""
+def set_stage(folder: Path) -> None:
+    """Set the scene to render the clay from the front: linear, transparent outside."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
@@ -138,11 +140,48 @@ def render(folder: Path) -> np.ndarray:
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_mode = "RGBA"
     scene.render.filepath = str(folder / "clay.exr")
-    bpy.ops.render.render(write_still=True)
+
+
+def picture(folder: Path) -> np.ndarray:
+    """The pixels of a picture that was rendered, shape [16, 32, 4]."""
     image = bpy.data.images.load(str(folder / "clay.exr"))
     pixels = np.empty(32 * 16 * 4, np.float32)
     image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
     return pixels.reshape(16, 32, 4)
+
+
+def render(folder: Path) -> np.ndarray:
+    """Render the clay from the front."""
+    set_stage(folder)
+    bpy.ops.render.render(write_still=True)
+    return picture(folder)
+
+
+RENDER = """
+import os, sys
+import bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[-1])
+assert not [name for name in sys.modules if name.startswith("tactile_clay")]
+bpy.ops.render.render(write_still=True)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> None:
+    """Render the same picture in a fresh process that never saw the add-on."""
+    item = clay(block(10, 6, 6))
+    look.add_look(item)
+    here = render(tmp_path)
+    (tmp_path / "clay.exr").unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "clay.blend"))
+    words = [sys.executable, "-c", RENDER, str(tmp_path / "clay.blend")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    there = picture(tmp_path)
+    assert (there[6:10, 7:25, 3] > 0.99).all()
+    np.testing.assert_allclose(there, here, atol=0.02)
 
 
 @pytest.mark.parametrize("kind", ["surface", "points", "beyond the limit", "exact"])
@@ -234,3 +273,22 @@ def test_surface_object_is_the_reconstruction() -> None:
     np.testing.assert_array_equal(colors, surface.colors)
     assert mesh.materials[0] == look.clay_material()
     assert mesh.attributes["clay_spacing"].data[0].value == pytest.approx(1.0, rel=0.2)
+
+
+def test_solid_views_show_the_clays_colours() -> None:
+    """Colour solid views by attribute, other than those that somebody has set otherwise."""
+    bpy.ops.wm.read_factory_settings()
+    spaces = [
+        space
+        for screen in bpy.data.screens
+        for area in screen.areas
+        for space in area.spaces
+        if space.type == "VIEW_3D"
+    ]
+    assert len(spaces) > 1
+    for space in spaces:
+        space.shading.color_type = "MATERIAL"
+    spaces[0].shading.color_type = "RANDOM"
+    look.show_colors()
+    assert spaces[0].shading.color_type == "RANDOM"
+    assert {space.shading.color_type for space in spaces[1:]} == {"VERTEX"}
