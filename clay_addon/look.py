@@ -21,6 +21,7 @@ from .surface_mesh import (
 
 MATERIAL_NAME = "Clay"
 NODE_GROUP_NAME = "Clay Surface"
+REST_ATTRIBUTE = "rest_position"
 MODIFIER_NAME = "Clay Surface"
 _MARK = "tactile_clay_look"
 """Custom property of what this module made, so that a user's own data of that name stays."""
@@ -37,6 +38,7 @@ _CRUMB_VERTICES = (210.0, 630.0)
 _SMOOTHING = 20
 _NORMAL_SMOOTHING = 8
 _COLOR_SMOOTHING = 2
+_TEXTURE_SMOOTHING = 12
 _VIEWPORT_LIMIT = 20_000
 
 
@@ -341,9 +343,42 @@ def _surface_group() -> bpy.types.NodeTree:
     link(sample.outputs[0], next(item for item in mixed.inputs if item.enabled))
     link(mixed.outputs[0], colored.inputs["Value"])
 
+    # The grain goes along with the clay where the points know where they were at first.
+    rest = _add(tree, "GeometryNodeInputNamedAttribute", (-900, -900), Name=REST_ATTRIBUTE)
+    rest.data_type = "FLOAT_VECTOR"
+    first = _add(tree, "GeometryNodeSampleIndex", (-700, -900))
+    first.data_type = "FLOAT_VECTOR"
+    link(points, first.inputs["Geometry"])
+    link(rest.outputs["Attribute"], first.inputs["Value"])
+    link(nearest.outputs[0], first.inputs["Index"])
+    moved = _add(tree, "ShaderNodeVectorMath", (-600, -900))
+    moved.operation = "SUBTRACT"
+    places = _add(tree, "GeometryNodeSampleIndex", (-700, -1100))
+    places.data_type = "FLOAT_VECTOR"
+    link(points, places.inputs["Geometry"])
+    link(position.outputs[0], places.inputs["Value"])
+    link(nearest.outputs[0], places.inputs["Index"])
+    link(first.outputs[0], moved.inputs[0])
+    link(places.outputs[0], moved.inputs[1])
+    even = _add(tree, "GeometryNodeBlurAttribute", (-500, -900), Iterations=_TEXTURE_SMOOTHING)
+    even.data_type = "FLOAT_VECTOR"
+    link(moved.outputs[0], next(item for item in even.inputs if item.enabled))
+    back = _add(tree, "ShaderNodeVectorMath", (-400, -900))
+    back.operation = "ADD"
+    link(position.outputs[0], back.inputs[0])
+    link(even.outputs[0], back.inputs[1])
+    known = _add(tree, "GeometryNodeSampleIndex", (-500, -1100))
+    known.data_type = "BOOLEAN"
+    link(points, known.inputs["Geometry"])
+    link(rest.outputs["Exists"], known.inputs["Value"])
+    grain = _add(tree, "GeometryNodeSwitch", (-350, -900))
+    grain.input_type = "VECTOR"
+    link(known.outputs[0], grain.inputs["Switch"])
+    link(position.outputs[0], grain.inputs["False"])
+    link(back.outputs[0], grain.inputs["True"])
     unit = _add(tree, "ShaderNodeVectorMath", (-300, -550))
     unit.operation = "DIVIDE"
-    link(position.outputs[0], unit.inputs[0])
+    link(grain.outputs[0], unit.inputs[0])
     link(given.outputs["Spacing"], unit.inputs[1])
     textured = _add(tree, "GeometryNodeStoreNamedAttribute", (-100, 0), Name=TEXTURE_ATTRIBUTE)
     textured.data_type = "FLOAT_VECTOR"

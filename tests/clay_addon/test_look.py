@@ -292,3 +292,30 @@ def test_solid_views_show_the_clays_colours() -> None:
     look.show_colors()
     assert spaces[0].shading.color_type == "RANDOM"
     assert {space.shading.color_type for space in spaces[1:]} == {"VERTEX"}
+
+
+def test_grain_goes_along_with_the_clay() -> None:
+    """Keep the grain on clay that is moved, and give clay without rest positions one too."""
+    item = clay(block(6, 6, 6))
+    look.add_look(item)
+
+    def grain() -> np.ndarray:
+        geometry = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
+        values = np.empty((len(geometry.mesh.vertices), 3), np.float32)
+        geometry.mesh.attributes["clay_texture"].data.foreach_get("vector", values.ravel())
+        return values
+
+    before = grain()
+    assert np.ptp(before, axis=0).min() > 4
+    positions = np.empty((216, 3), np.float32)
+    layer = item.data.attributes["position"].data
+    layer.foreach_get("vector", positions.ravel())
+    # By whole voxels, so that the mesh is the same.
+    layer.foreach_set("vector", (positions + np.float32([0.05, 0, 0])).ravel())
+    item.data.update_tag()
+    moved = grain()
+    np.testing.assert_allclose(moved.min(axis=0), before.min(axis=0), atol=0.1)
+    np.testing.assert_allclose(moved.max(axis=0), before.max(axis=0), atol=0.1)
+    item.data.attributes.remove(item.data.attributes["rest_position"])
+    item.data.update_tag()
+    np.testing.assert_allclose(grain().mean(axis=0), before.mean(axis=0) + [10, 0, 0], atol=0.2)
