@@ -17,6 +17,7 @@ _MODULES = (
     "hand_operators",
     "bake_operators",
     "playback",
+    "sculpt.take_operators",
     "export",
     "pack",
     "touch_properties",
@@ -26,6 +27,7 @@ _MODULES = (
     "touch_sensitivity",
     "touch_record",
     "touch_overlay",
+    "sculpt.properties",
     "command_line",
     "panel",
     "touch_panel",
@@ -33,6 +35,11 @@ _MODULES = (
     "tracking.live",
     "tracking.operators",
     "tracking.panel",
+    "sculpt.autosave",
+    "sculpt.operators",
+    "sculpt.overlay",
+    "sculpt.header",
+    "sculpt.panel",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

@@ -222,8 +222,16 @@ class Cache:
         self.prepare()
         self._check_own()
         self._remove()
-        write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
+        self.write_colors(colors)
         self.write_meta(meta)
+
+    def write_colors(self, colors: NDArray[np.floating]) -> None:
+        """Write the colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+
+        Raises:
+            CacheError: The disk is full or the folder cannot be written to.
+        """
+        write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
 
     def write_meta(self, meta: Meta) -> None:
         """Write ``meta.json``.

@@ -76,7 +76,7 @@ def make_clay(
     pieces = _closed_meshes(objects, context.evaluated_depsgraph_get())
     _check_particle_count(pieces, spacing, scene)
     _check_place(pieces, spacing)
-    points = _fill(pieces, spacing, scene)
+    points = fill_pieces(pieces, spacing, scene)
     colors = np.concatenate(
         [
             np.tile(_color_of(item), (len(part), 1))
@@ -182,12 +182,21 @@ def _length(value: float, scene: bpy.types.Scene) -> str:
     return f"{meters * 1e3:.3g} mm"
 
 
-def _fill(
+def fill_pieces(
     pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]],
     spacing: float,
     scene: bpy.types.Scene,
 ) -> list[NDArray[np.float32]]:
-    """Particles of each piece, without those that an earlier piece has already."""
+    """Particles of each piece, without those that an earlier piece has already.
+
+    Args:
+        pieces: Name, world vertices [Blender units] and triangles of each.
+        spacing: Distance between particles [Blender units].
+        scene: Its unit scale counts.
+
+    Raises:
+        ClayError: A piece cannot be filled.
+    """
     from ..solver import fill_mesh
 
     filled: list[NDArray[np.float32]] = []
@@ -268,7 +277,7 @@ def _build(
 ) -> bpy.types.Object:
     # The origin lies amid the clay, where the transform gizmo is expected.
     origin = (0.5 * (points.min(0).astype(np.float64) + points.max(0))).astype(np.float32)
-    clay = _point_cloud(context, points - origin, colors, spacing, name)
+    clay = make_point_cloud(context, points - origin, colors, spacing, name)
     clay.location = origin.tolist()
     properties = clay.tactile_clay
     properties.role = "CLAY"
@@ -288,26 +297,34 @@ def _build(
     return clay
 
 
-def _point_cloud(
+def make_point_cloud(
     context: bpy.types.Context,
     points: NDArray[np.float32],
     colors: NDArray[np.float32],
     spacing: float,
     name: str,
 ) -> bpy.types.Object:
-    """A point cloud object in the active collection, with the attributes that clay has."""
+    """A point cloud object in the active collection, with the attributes that clay has.
+
+    Args:
+        context: Where to make it.
+        points: Positions [Blender units], shape [N, 3].
+        colors: Linear RGBA, shape [N, 4].
+        spacing: Distance between particles [Blender units].
+        name: Of the object and its points.
+    """
     count = len(points)
     if hasattr(bpy.types.PointCloud, "resize"):
         data = bpy.data.pointclouds.new(name)
         data.resize(count)
-        _write_attributes(data, points, colors, spacing)
+        write_attributes(data, points, colors, spacing)
         item = bpy.data.objects.new(name, data)
         context.collection.objects.link(item)
         return item
     # Blender 4.5 can size a point cloud in no other way than to convert a mesh.
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(count)
-    _write_attributes(mesh, points, colors, spacing)
+    write_attributes(mesh, points, colors, spacing)
     item = bpy.data.objects.new(name, mesh)
     collection = context.collection
     context.scene.collection.objects.link(item)
@@ -325,9 +342,17 @@ def _point_cloud(
     return item
 
 
-def _write_attributes(
+def write_attributes(
     data: bpy.types.ID, points: NDArray[np.float32], colors: NDArray[np.float32], spacing: float
 ) -> None:
+    """Write the attributes that clay has into a point cloud, or a mesh, of N points.
+
+    Args:
+        data: What to write into.
+        points: Positions [Blender units], shape [N, 3].
+        colors: Linear RGBA, shape [N, 4].
+        spacing: Distance between particles [Blender units].
+    """
     # The name matters: Cycles shows an attribute named "color" black.
     radius = np.full(len(points), 0.5 * spacing, np.float32)
     for attribute, kind, key, values in (

@@ -96,6 +96,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box = layout.box()
             box.label(text=item.name)
             box.prop(item.tactile_clay, "collider_kind")
+            box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
 
 

@@ -49,6 +49,11 @@ def _become_custom(properties: Any, context: bpy.types.Context) -> None:
         properties.material_preset = CUSTOM
 
 
+def _tag_object(properties: Any, context: bpy.types.Context) -> None:
+    # Values of add-ons do not reach the evaluated object by themselves.
+    properties.id_data.update_tag()
+
+
 def _get_spacing(properties: Any) -> float:
     # Half a centimetre whatever the scene's unit scale, until a value is chosen.
     return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
@@ -136,6 +141,11 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     sources: bpy.props.CollectionProperty(
         name="Sources", description="The meshes the clay was made from", type=ClaySource
     )
+    take_start: bpy.props.PointerProperty(
+        name="Take Start",
+        description="The clay that the last take began with",
+        type=bpy.types.Mesh,
+    )
     collider_kind: bpy.props.EnumProperty(
         name="Shape",
         description="How the clay meets this object",
@@ -145,6 +155,12 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
             ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
         ),
         default="AUTO",
+    )
+    collider_enabled: bpy.props.BoolProperty(
+        name="Touches Clay",
+        description="Whether the clay feels this object; keyframes can lift a tool off and set it",
+        default=True,
+        update=_tag_object,
     )
     collider_friction: bpy.props.FloatProperty(
         name="Friction",
@@ -185,6 +201,33 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         default=0,
         min=0,
         max=4096,
+    )
+    motion_samples: bpy.props.IntProperty(
+        name="Motion Samples",
+        description=(
+            "How often in each frame a bake looks where hands and colliders are: more follows what "
+            "turns back between two frames, and recorded takes"
+        ),
+        default=1,
+        min=1,
+        max=64,
+    )
+    hands_give_way: bpy.props.BoolProperty(
+        name="Hands Give Way",
+        description="Stiff clay stops hands in a bake as it does live; off, they go where keyed",
+        default=False,
+    )
+    record_take: bpy.props.BoolProperty(
+        name="Record Take",
+        description="Record what hands, tools and clay do while you sculpt, for the timeline",
+        default=False,
+    )
+    take_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_of: bpy.props.PointerProperty(
+        name="Film of",
+        description="The scene whose take this one bakes again",
+        type=bpy.types.Scene,
     )
     cache_directory: bpy.props.StringProperty(
         name="Cache",

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..solver.recording_lock import recording_lock
+
 if TYPE_CHECKING:
     from .quick_surface import QuadSurface, QuickSurface
 
@@ -111,6 +113,7 @@ class SurfaceWorker:
         try:
             positions = np.concatenate([part[0] for part in parts] or [np.empty((0, 3))])
             colors = np.concatenate([part[1] for part in parts] or [np.empty((0, 4))])
-            return self._quick.reconstruct(positions, colors), ""
+            with recording_lock:
+                return self._quick.reconstruct(positions, colors), ""
         except (ValueError, RuntimeError, MemoryError) as error:
             return None, str(error)

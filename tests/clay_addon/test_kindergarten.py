@@ -19,8 +19,8 @@ from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # n
 from tactile_clay.clay_addon.simulation import (  # noqa: E402
     Simulation,
     clay_colors,
+    clay_positions,
     collider_objects,
-    rest_positions,
 )
 from tactile_clay.solver.closed_mesh import check_closed_mesh  # noqa: E402
 from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
@@ -89,7 +89,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
 
 def piece_of_particles(scene: kindergarten.Kindergarten) -> np.ndarray:
     """Index of each particle's piece, told by where its mesh is, -1 for none, shape [N]."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     owner = np.full(len(points), -1)
     for index, item in enumerate(scene.pieces):
         vertices = world_vertices(item)
@@ -105,7 +105,7 @@ def height(points: np.ndarray) -> float:
 
 def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
     """Leave at least a particle's diameter between particles of two pieces."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     colors = clay_colors(scene.clay)
     piece = piece_of_particles(scene)
     assert (piece >= 0).all()
@@ -117,7 +117,7 @@ def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
 
 def test_clay_stands_on_the_table(scene: kindergarten.Kindergarten) -> None:
     """Put every particle above the table, and some of every piece down on it."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     assert points[:, 2].min() > 0.3 * SPACING
     for item in scene.pieces:
         assert world_vertices(item)[:, 2].min() == pytest.approx(0.0, abs=1e-5)
@@ -126,7 +126,7 @@ def test_clay_stands_on_the_table(scene: kindergarten.Kindergarten) -> None:
 def test_hands_are_closed_and_begin_off_the_clay(scene: kindergarten.Kindergarten) -> None:
     """Start with closed hands around which there is no clay."""
     bpy.context.scene.frame_set(1)
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     assert list(scene.hands) == hand_objects(bpy.context.scene)[::-1]
     assert len(scene.hands) == 2
     for hand in scene.hands:

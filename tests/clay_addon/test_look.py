@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon import look
-from tactile_clay.clay_addon.make_clay import _point_cloud
+from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.surface import check_closed_manifold, reconstruct
 
 RED, BLUE = (0.7, 0.02, 0.02, 1.0), (0.02, 0.05, 0.7, 1.0)
@@ -35,7 +35,7 @@ def block(*counts: int) -> np.ndarray:
 def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
     """Clay that is red on the left and blue on the right."""
     colors = np.where(points[:, :1] < 0, RED, BLUE).astype(np.float32)
-    return _point_cloud(bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay")
+    return make_point_cloud(bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay")
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
