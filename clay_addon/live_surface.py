@@ -53,7 +53,9 @@ class LiveSurface:
         SurfaceError: The spacing of the clay is not a positive length.
     """
 
-    def __init__(self, context: bpy.types.Context, clay_objects: Sequence[bpy.types.Object]) -> None:
+    def __init__(
+        self, context: bpy.types.Context, clay_objects: Sequence[bpy.types.Object]
+    ) -> None:
         if not clay_objects:
             raise ValueError("There is no clay to show.")
         from .quick_surface import QuickSurface, load_kernels

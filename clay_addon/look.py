@@ -153,9 +153,7 @@ def surface_object(
         sides = surface.vertices[surface.faces[:, 0]] - surface.vertices[surface.faces[:, 1]]
         # The median edge of the reconstruction is 0.41 spacings.
         spacing = float(np.median(np.linalg.norm(sides, axis=1))) / 0.41
-    fill_surface_mesh(
-        mesh, surface.vertices, surface.faces, spacing=spacing, colors=surface.colors
-    )
+    fill_surface_mesh(mesh, surface.vertices, surface.faces, spacing=spacing, colors=surface.colors)
     mesh.materials.append(clay_material())
     return bpy.data.objects.new(name, mesh)
 

@@ -57,11 +57,11 @@ class QuadSurface:
 class QuickSurface:
     """Makes surfaces of one clay, frame after frame, in a few milliseconds.
 
-    A density of the particles, smoothed over three quarters of their distance, is contoured by a net
-    of quads (Gibson 1998, doi:10.1007/BFb0056277) and its last bumps are smoothed away. Half of the
-    density inside is where a flat face lies, so nothing has to be moved afterwards. Particles at
-    thin parts, where the density falls short, weigh more. All runs on one thread of the processor,
-    and other Python threads run meanwhile.
+    A density of the particles, smoothed over three quarters of their distance, is contoured by a
+    net of quads (Gibson 1998, doi:10.1007/BFb0056277) and its last bumps are smoothed away. Half of
+    the density inside is where a flat face lies, so nothing has to be moved afterwards. Particles
+    at thin parts, where the density falls short, weigh more. All runs on one thread of the
+    processor, and other Python threads run meanwhile.
 
         quick = QuickSurface(spacing=0.005)
         surface = quick.reconstruct(positions, colors)

@@ -26,7 +26,7 @@ class Live:
 
     def tick(self, moved: float = 0.0) -> bool:
         """Offer the clay, moved along x, wait for its surface and show it."""
-        positions = self.studio.points(self.clay) + np.float32([moved, 0, 0])
+        positions = self.studio.points(self.clay) + np.array([moved, 0, 0], np.float32)
         self.surface.offer([(positions, clay_colors(self.clay))])
         assert self.surface._worker is not None
         assert self.surface._worker.wait()
@@ -93,7 +93,7 @@ def test_hidden_clay_is_still_evaluated_and_costs_no_surface(live: Live) -> None
 
 
 def test_mesh_follows_and_rests(live: Live) -> None:
-    """Write the mesh again when the clay has moved, in the same object, and not when it is still."""
+    """Write the mesh again when the clay has moved, in the same object, and else not."""
     live.tick()
     (item,) = live.stand_ins()
     assert live.tick(0.1)

@@ -35,7 +35,9 @@ def block(*counts: int) -> np.ndarray:
 def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
     """Clay that is red on the left and blue on the right."""
     colors = np.where(points[:, :1] < 0, RED, BLUE).astype(np.float32)
-    return make_point_cloud(bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay")
+    return make_point_cloud(
+        bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay"
+    )
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -311,11 +313,11 @@ def test_grain_goes_along_with_the_clay() -> None:
     layer = item.data.attributes["position"].data
     layer.foreach_get("vector", positions.ravel())
     # By whole voxels, so that the mesh is the same.
-    layer.foreach_set("vector", (positions + np.float32([0.05, 0, 0])).ravel())
+    layer.foreach_set("vector", (positions + np.array([0.05, 0, 0], np.float32)).ravel())
     item.data.update_tag()
     moved = grain()
     np.testing.assert_allclose(moved.min(axis=0), before.min(axis=0), atol=0.1)
     np.testing.assert_allclose(moved.max(axis=0), before.max(axis=0), atol=0.1)
     item.data.attributes.remove(item.data.attributes["rest_position"])
     item.data.update_tag()
-    np.testing.assert_allclose(grain().mean(axis=0), before.mean(axis=0) + [10, 0, 0], atol=0.2)
+    np.testing.assert_allclose(grain().mean(axis=0), before.mean(axis=0) + (10, 0, 0), atol=0.2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: hard cases, ablation, hands, surfaces, touch.
+"""Parts of the report that modules of their own bring: hard cases, ablation, hands, touch ...
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
