@@ -320,4 +320,6 @@ def test_grain_goes_along_with_the_clay() -> None:
     np.testing.assert_allclose(moved.max(axis=0), before.max(axis=0), atol=0.1)
     item.data.attributes.remove(item.data.attributes["rest_position"])
     item.data.update_tag()
-    np.testing.assert_allclose(grain().mean(axis=0), before.mean(axis=0) + (10, 0, 0), atol=0.2)
+    np.testing.assert_allclose(
+        grain().mean(axis=0), before.mean(axis=0) + np.array([10, 0, 0]), atol=0.2
+    )

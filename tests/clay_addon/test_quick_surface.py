@@ -73,7 +73,7 @@ def volume(surface: QuadSurface) -> float:
         ("double sheet", lattice(20, 20, 2), 0.1),
         ("rod", lattice(30, 1, 1), 0.35),
         ("grain", np.full((1, 3), 0.3), 0.5),
-        ("pieces", np.concatenate([lattice(8, 8, 8), ball(5) + (20, 0, 0)]), 0.06),
+        ("pieces", np.concatenate([lattice(8, 8, 8), ball(5) + np.array([20, 0, 0])]), 0.06),
         ("hollow", lattice(14, 14, 14)[np.abs(lattice(14, 14, 14)).max(axis=1) > 3.6], 0.04),
     ],
 )
