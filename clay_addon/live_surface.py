@@ -15,7 +15,8 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
-from .look import MODIFIER_NAME, clay_material
+from .look import MODIFIER_NAME
+from .look_material import clay_material
 from .surface_mesh import fill_surface_mesh
 from .surface_worker import Part, SurfaceWorker
 

@@ -11,6 +11,7 @@ import pytest
 
 from tactile_clay.clay_addon import look
 from tactile_clay.clay_addon.live_surface import LiveSurface, sweep
+from tactile_clay.clay_addon.look_material import clay_material
 from tactile_clay.clay_addon.mesh_geometry import is_switched_off
 from tactile_clay.clay_addon.simulation import clay_colors
 from tactile_clay.clay_addon.surface import check_closed_manifold
@@ -67,7 +68,7 @@ def test_mesh_stands_for_the_clay(live: Live) -> None:
     assert item.hide_select
     assert live.clay.hide_get()
     assert not live.clay.hide_render
-    assert list(mesh.materials) == [look.clay_material()]
+    assert list(mesh.materials) == [clay_material()]
     assert mesh.attributes.active_color_name == "Color"
     assert all(polygon.use_smooth for polygon in mesh.polygons)
     corners = np.empty(len(mesh.loops), np.int32)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon import look
+from tactile_clay.clay_addon.look_material import MATERIAL_NAME, clay_material
 from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.surface import check_closed_manifold, reconstruct
 
@@ -55,7 +56,7 @@ def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     mesh.loop_triangles.foreach_get("vertices", faces.ravel())
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
-    assert look.MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
+    assert MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
     return vertices.astype(np.float64), faces.astype(np.int64), colors
 
 
@@ -225,22 +226,22 @@ def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
     assert look.get_input(second, "Surface") is False
     look.add_look(clay(block(3, 3, 3)))
     assert len(bpy.data.node_groups) == 1
-    assert [item.name for item in bpy.data.materials] == [look.MATERIAL_NAME]
+    assert [item.name for item in bpy.data.materials] == [MATERIAL_NAME]
 
 
 def test_material_reads_the_colour_attribute_and_is_shared() -> None:
     """There is one clay material; its base colour is the attribute `Color`."""
-    material = look.clay_material()
-    assert look.clay_material() == material
+    material = clay_material()
+    assert clay_material() == material
     shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     assert shader.inputs["Base Color"].links[0].from_node.attribute_name == "Color"
 
 
 def test_foreign_material_of_the_same_name_is_left_alone() -> None:
     """A user's own material called Clay is neither used nor changed."""
-    own = bpy.data.materials.new(look.MATERIAL_NAME)
-    assert look.clay_material() != own
-    assert look.clay_material() == look.clay_material()
+    own = bpy.data.materials.new(MATERIAL_NAME)
+    assert clay_material() != own
+    assert clay_material() == clay_material()
 
 
 def test_what_is_no_clay_is_refused() -> None:
@@ -273,7 +274,7 @@ def test_surface_object_is_the_reconstruction() -> None:
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
     np.testing.assert_array_equal(colors, surface.colors)
-    assert mesh.materials[0] == look.clay_material()
+    assert mesh.materials[0] == clay_material()
     assert mesh.attributes["clay_spacing"].data[0].value == pytest.approx(1.0, rel=0.2)
 
 
