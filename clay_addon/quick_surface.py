@@ -24,7 +24,7 @@ SMOOTHING = 12
 """Passes that flatten the trace of the particles."""
 FARTHEST_SMOOTHED = 0.12
 """They move no vertex by more than this, so that a crumb does not shrink to nothing."""
-COLOR_SMOOTHING = 1
+COLOR_SMOOTHING = 2
 """Passes that soften borders between colours."""
 STILL = 0.005
 """While no particle has moved by more than this the surface stays as it is."""
