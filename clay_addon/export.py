@@ -188,6 +188,7 @@ def _particles(
     scene: bpy.types.Scene, item: bpy.types.Object
 ) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
     """World positions, colours and world spacing of a clay object, in Blender units."""
+    from .clay_points import present_rows
     from .mesh_geometry import transform
     from .pack import is_packed, packed_positions
     from .simulation import clay_colors, read_points
@@ -211,7 +212,8 @@ def _particles(
     stretch = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     if not stretch > 0:
         raise ExportError(f"{item.name!r} is scaled to nothing. Give it a scale above 0.")
-    return transform(matrix, local), clay_colors(item), float(spacing * stretch)
+    there = present_rows(item, local)
+    return transform(matrix, local[there]), clay_colors(item)[there], float(spacing * stretch)
 
 
 def _joined(surfaces: list[Surface]) -> Surface:

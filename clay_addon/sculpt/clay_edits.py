@@ -68,4 +68,6 @@ def _read(item: bpy.types.Object, scale: float) -> tuple[NDArray[np.float32], ND
 
 
 def _distance(points: NDArray[np.float32], edit: Edit) -> float:
-    return float(np.linalg.norm(points - np.float32(edit.center), axis=1).min(initial=np.inf))
+    return float(
+        np.linalg.norm(points - np.array(edit.center, np.float32), axis=1).min(initial=np.inf)
+    )

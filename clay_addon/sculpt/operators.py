@@ -10,7 +10,8 @@ from ..clay_points import keep_sculpted, replace_points
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
-from .session import SculptError, SculptSession
+from .session import SculptSession
+from .session_checks import SculptError
 
 _TICK_SECONDS = 1.0 / 120.0
 """Twice the rate of steps, so that the solver hardly waits for the next tick."""
@@ -19,7 +20,7 @@ _COMPILING_AFTER = 0.5
 
 
 class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
-    """Work the clay live, with tracked hands and with the mouse; Esc ends and keeps what was done"""
+    """Work the clay live, with tracked hands and the mouse; Esc ends and keeps what was done"""
 
     bl_idname = "clay.sculpt"
     bl_label = "Sculpt"

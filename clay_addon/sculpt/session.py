@@ -10,25 +10,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict
+from contextlib import ExitStack, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.recording_lock import recording_lock
-from .. import bake_operators
 from ..bake_touch import own_touch
-from ..cache import CacheError
 from ..clay_points import keep_sculpted, write_points
 from ..live_surface import LiveSurface
 from ..mesh_geometry import local_from_world, transform
-from ..pack import is_packed
 from ..playback import paused, refresh
-from ..preferences import missing_parts
 from ..simulation import (
     Simulation,
     SimulationError,
@@ -42,9 +37,11 @@ from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
 from .live_touch import LiveTouch
 from .pace import Pace
+from .session_checks import SculptError, check_free
+from .session_take import SessionTake
 from .solver_worker import SolverWorker, Stepped, step
 from .structure import structure
-from .take import Mark, TakeError, TakeRecorder
+from .tool_interface import NoTools, Tools
 from .undo_states import UndoStates
 
 if TYPE_CHECKING:
@@ -58,61 +55,6 @@ _MOVED = 0.02
 _FAR = 0.5
 """Clay that nobody touched is worth an undo step from this on, in spacings: it springs back a
 little after each stroke."""
-
-
-class SculptError(Exception):
-    """A session cannot start or go on; the message says why and what to do."""
-
-
-class ToolMesh(Protocol):
-    """A closed mesh that works the clay, in its own coordinates."""
-
-    vertices: NDArray[np.float64]
-    """[m], shape [V, 3]."""
-    faces: NDArray[np.int32]
-    """Shape [F, 3]."""
-    friction: float
-    """Coulomb friction coefficient."""
-
-
-class Tools(Protocol):
-    """What the mouse holds; see `Brush`."""
-
-    @property
-    def mesh_key(self) -> Hashable:
-        """Changes when `meshes` do."""
-
-    @property
-    def stroking(self) -> bool:
-        """Whether a stroke is under way."""
-
-    def meshes(self) -> Sequence[ToolMesh]:
-        """What collides with the clay."""
-
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
-        """Where each mesh is after so many seconds, and whether the clay feels it."""
-
-    def take_edits(self) -> Sequence[Edit]:
-        """What to do to the clay beside that, since the last call."""
-
-
-class NoTools:
-    """Nothing in the mouse: tracked hands and colliders only."""
-
-    mesh_key: Hashable = ()
-    stroking = False
-
-    def meshes(self) -> Sequence[ToolMesh]:
-        """None."""
-        return ()
-
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
-        """None."""
-        return ()
-
-    def take_edits(self) -> Sequence[Edit]:
-        """None."""
-        return ()
 
 
 class SculptSession:
@@ -136,7 +78,7 @@ class SculptSession:
         device: str | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        _check_free(context.scene)
+        check_free(context.scene)
         self._scene_uid = context.scene.session_uid
         self.tools: Tools = tools or NoTools()
         self.pace = Pace()
@@ -144,6 +86,7 @@ class SculptSession:
         self.undo = UndoStates()
         self._clock = clock
         self._worker = SolverWorker()
+        self.simulation: Simulation
         self._structure: Hashable = None
         self._tool_key: Hashable = None
         self._colliders: list[MeshCollider] = []
@@ -154,14 +97,11 @@ class SculptSession:
         self.positions = np.zeros((0, 3), np.float32)
         """Where all particles are seen, world [Blender units], shape [N, 3]."""
         self._kept = self.positions
+        self.felt = 0.0
+        """Force of the clay on the hands [N]."""
         self._closing = ExitStack()
         self._surface: LiveSurface | None = None
-        self._recording = bool(context.scene.tactile_clay.record_take)
-        self._take: TakeRecorder | None = None
-        self._ended_take: TakeRecorder | None = None
-        self._take_start = Mark(0.0, 0)
-        self.messages: list[str] = []
-        """What a person should know, in sentences."""
+        self._take = SessionTake(wanted=context.scene.tactile_clay.record_take)
         refresh(context.scene)
         try:
             self._device = solver_device(context, device)
@@ -192,6 +132,12 @@ class SculptSession:
         if self.pace.started or not self._worker.busy:
             return 0.0
         return time.perf_counter() - self._worker.since
+
+    @property
+    def messages(self) -> list[str]:
+        """What a person should know, in sentences."""
+        said = [*self._take.messages, self._touch.problem, self.autosave.problem]
+        return [message for message in said if message]
 
     @property
     def spacing(self) -> float:
@@ -257,8 +203,10 @@ class SculptSession:
         if self._surface is None:
             self._open_surface(context)
         else:
-            with self.budget.measured("surface"):
-                news = self._surface.show() or news
+            began = time.perf_counter()
+            if self._surface.show():
+                self.budget.took("surface", time.perf_counter() - began)
+                news = True
         if self._changed:
             self.autosave.now_and_then(scene, self._clock())
         return news
@@ -275,8 +223,7 @@ class SculptSession:
             for collider, (pose, enabled) in zip(self._colliders, poses, strict=True):
                 collider.set_pose(pose)
                 collider.set_enabled(enabled)
-            if self._take is not None:
-                self._take.look(context.evaluated_depsgraph_get(), poses)
+            self._take.look(context.evaluated_depsgraph_get(), poses)
         solver = self.simulation.solver
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
@@ -289,10 +236,7 @@ class SculptSession:
         if edit_clay(context, clay, edits):
             self._changed = True
             self._touched_at = self._clock()
-            if self._take is not None:
-                for edit in edits:
-                    parameters = asdict(edit)
-                    self._take.edit(parameters.pop("kind"), parameters)
+            self._take.edit(edits)
 
     def _look_at(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""
@@ -302,17 +246,16 @@ class SculptSession:
                 "substeps."
             )
         if not stepped.duration:
-            self._begin_take(scene)
+            self._take.begin(scene, self.simulation, self.tools.meshes())
             return
         self.pace.took(stepped.duration, stepped.seconds)
         self.budget.took("simulate", stepped.seconds)
-        if self._take is not None:
-            world = stepped.positions / np.float32(self.simulation.scale)
-            self._take.step(stepped.duration, world)
+        world = stepped.positions / np.float32(self.simulation.scale)
+        self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
-        felt = any(contacts.forces.any() for contacts in stepped.contacts)
-        if felt or (stepped.tool_force and self.tools.stroking):
+        self.felt = sum(float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts)
+        if self.felt or (stepped.tool_force and self.tools.stroking):
             self._touched_at = self._clock()
 
     def _show(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
@@ -373,8 +316,7 @@ class SculptSession:
         state = None
         if self.simulation.solver is not None and not self._worker.busy:
             state = self.simulation.snapshot()
-        mark = self._take.mark() if self._take is not None else None
-        self.undo.keep(scene, state, mark)
+        self.undo.keep(scene, state, self._take.mark)
         self._kept = self.positions
         self._changed = False
         push_undo(message)
@@ -395,9 +337,7 @@ class SculptSession:
         scene = context.scene
         self._taken_back = self._changed = False
         self._begin_build(context, state=self.undo.state(scene), goes_on=False)
-        if self._take is not None:
-            mark = self.undo.mark(scene) or self._take_start
-            self._with_take(partial(self._take.rewind, mark, self.simulation))
+        self._take.rewind(self.undo.mark(scene), self.simulation)
 
     # Building -----------------------------------------------------------------------------------
 
@@ -430,10 +370,8 @@ class SculptSession:
             self._colliders.append(collider)
         self.positions = self._kept = np.concatenate(simulation.rest)
 
-        if self._take is not None:
-            self._take.use_tools(self.tools.meshes())
-            if goes_on:
-                self._with_take(partial(self._take.rebuilt, simulation))
+        if goes_on:
+            self._take.rebuilt(simulation, self.tools.meshes())
         if self._surface is not None:
             if before != [part.name for part in simulation.parts]:
                 self._close_surface()
@@ -448,16 +386,14 @@ class SculptSession:
             simulation.build(prepared, self._device)
             assert simulation.solver is not None
             if state is not None:
-                try:
+                # If colliders came or went since, the clay is where it was, but at rest.
+                with suppress(KeyError, ValueError):
                     simulation.restore(state)
-                except (KeyError, ValueError):
-                    # Colliders came or went since: the clay is where it was, but at rest.
-                    pass
             return step(simulation.solver, 0.0, (), ())
 
         self._worker.begin(build)
 
-    # The surface, and the take ------------------------------------------------------------------
+    # The surface --------------------------------------------------------------------------------
 
     def _open_surface(self, context: bpy.types.Context) -> None:
         clay = [context.scene.objects[part.name] for part in self.simulation.parts]
@@ -468,44 +404,6 @@ class SculptSession:
         surface, self._surface = self._surface, None
         if surface is not None:
             surface.close()
-
-    def _begin_take(self, scene: bpy.types.Scene) -> None:
-        """Begin to record, once the solver is built for the first time."""
-        if not self._recording or self._take is not None:
-            return
-        self._recording = False
-        try:
-            self._take = TakeRecorder.begin(scene, self.simulation)
-        except TakeError as error:
-            self.messages.append(f"No take is recorded: {error}")
-            return
-        self._take.use_tools(self.tools.meshes())
-        self._take_start = self._take.mark()
-
-    def _with_take(self, act: Callable[[], None]) -> None:
-        """Do something with the take; where it cannot go on, it ends and is kept."""
-        try:
-            act()
-        except TakeError as error:
-            self.messages.append(str(error))
-            self._take, self._ended_take = None, self._take
-
-    def _finish_take(self, scene: bpy.types.Scene | None) -> None:
-        take, self._take = self._take or self._ended_take, None
-        self._ended_take = None
-        if take is None:
-            return
-        if scene is None:
-            take.leave()
-            return
-        try:
-            stored = take.finish(scene)
-        except (TakeError, CacheError) as error:
-            self.messages.append(str(error))
-            return
-        self.messages += stored.warnings
-        self.messages.append(f"Take on frames {stored.first} to {stored.last}")
-        push_undo("Record Take")
 
     def _scene(self, context: bpy.types.Context) -> bpy.types.Scene:
         scene = context.scene
@@ -543,7 +441,8 @@ class SculptSession:
                 self._close_surface()
                 self._worker.close()
                 self.autosave.close()
-        self._finish_take(scene)
+        if self._take.finish(scene):
+            push_undo("Record Take")
 
 
 current: SculptSession | None = None
@@ -594,20 +493,3 @@ def push_undo(message: str) -> None:
     """Make an undo step of what Blender holds now, where there is a window and so an Undo."""
     if not bpy.app.background and bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=message)
-
-
-def _check_free(scene: bpy.types.Scene) -> None:
-    """Refuse where something else has the clay."""
-    for sentence in missing_parts():
-        raise SculptError(sentence)
-    if bake_operators.running is not None:
-        raise SculptError("A bake is running. Press Esc to stop it first.")
-    if bpy.app.is_job_running("RENDER"):
-        raise SculptError("Blender is rendering. Sculpt when it has done.")
-    for item in clay_objects(scene):
-        if is_packed(item):
-            raise SculptError(
-                f"{item.name!r} plays frames packed in the .blend. Unpack them first (Clay > Bake)."
-            )
-        if item.library is not None or item.data.library is not None:
-            raise SculptError(f"{item.name!r} is linked from another file. Make it local first.")

@@ -36,7 +36,7 @@ class SolverWorker:
     """Does one thing at a time beside the main thread, which hands it over and looks in for it."""
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay")
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-sculpt")
         self._task: Future[Stepped] | None = None
         self.since = 0.0
         """When what it does was begun, by `time.perf_counter` [s]."""
@@ -74,7 +74,9 @@ class SolverWorker:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-def step(solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[MeshCollider]) -> Stepped:
+def step(
+    solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[MeshCollider]
+) -> Stepped:
     """Advance a solver.
 
     Args:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ from .take_store import Stored, store_take
 from .take_writer import TakeWriter
 
 if TYPE_CHECKING:
-    from .session import ToolMesh
+    from .settings import ToolMesh
 
 SECONDS_AT_RISK = 2.0
 """So much simulated time goes into one file [s]."""
@@ -299,8 +299,9 @@ class TakeRecorder:
         self._write(write)
         self._frames.tell_end()
 
-    def _write(self, task: Any) -> None:
-        self._writer.do(task)
+    def _write(self, task: Callable[[], None]) -> None:
+        # Before the frames that wait: those can be made anew.
+        self._writer.do(task, first=True)
 
     # The end ------------------------------------------------------------------------------------
 

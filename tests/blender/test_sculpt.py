@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+from tactile_clay.clay_addon.tracking.recording import Recorder
+from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+
 STEPS = (Path(__file__).parent / "window_steps.py").read_text(encoding="utf-8")
 COMMON = """
 import importlib
@@ -153,7 +156,7 @@ INTERRUPTED = """
 import threading
 
 def threads():
-    return sorted(t.name for t in threading.enumerate() if t.name.startswith("clay"))
+    return sorted(t.name for t in threading.enumerate() if t.name.startswith(("clay-", "clay ")))
 
 def handlers():
     lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]
@@ -169,42 +172,75 @@ def steps():
     # Another file in the middle of it.
     bpy.ops.wm.open_mainfile(filepath=ARGUMENTS[0])
     yield 0.5
+    yield lambda: not threads()
     print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
-    # What a person may do to clay meanwhile.
-    with in_view():
-        bpy.ops.object.select_all(action="DESELECT")
-        clay().select_set(True)
-        bpy.context.view_layer.objects.active = clay()
-        bpy.ops.object.duplicate()
-        bpy.context.object.location.x += 0.1
+    # What a person may do in the outliner meanwhile; in the view a surface stands for the clay.
+    other = clay().copy()
+    other.data = clay().data.copy()
+    other.location.x += 0.1
+    bpy.context.scene.collection.objects.link(other)
     yield lambda: [part.count for part in sessions.current.simulation.parts] == [1000, 1000]
     yield after(0.1)
-    bpy.context.object.name = "Other"
+    other.name = "Other"
     yield lambda: sessions.current.simulation.parts[1].name == "Other"
-    bpy.context.object.hide_set(True)
+    other.hide_viewport = True
+    yield lambda: len(sessions.current.simulation.parts) == 1
     yield after(0.1)
-    with in_view():
-        bpy.data.objects["Other"].hide_set(False)
-        bpy.ops.object.delete()
+    other.hide_viewport = False
+    yield lambda: len(sessions.current.simulation.parts) == 2
+    other.hide_set(True)
+    yield after(0.1)
+    bpy.data.objects.remove(other)
     yield lambda: len(sessions.current.simulation.parts) == 1
     yield after(0.1)
     print("CLAY CAME AND WENT", flush=True)
     # The extension switched off in the middle of it.
     bpy.ops.preferences.addon_disable(module=MODULE)
     yield 0.5
+    yield lambda: not threads()
     print("OFF", sessions.current, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
     globals()["sessions"] = importlib.import_module(MODULE + ".clay_addon.sculpt.session")
     yield 0.5
     start()
     yield moves
-    with in_view():
-        bpy.ops.object.select_all(action="SELECT")
-        bpy.ops.object.delete()
+    bpy.data.objects.remove(clay())
     yield lambda: sessions.current is None
+    yield lambda: not threads()
     print("NO CLAY LEFT", threads(), flush=True)
+
+run(steps())
+"""
+
+HANDS = """
+def steps():
+    make_block()
+    clay().location.y += 0.08
+    with in_view():
+        assert bpy.ops.clay.hand_add(side="right") == {"FINISHED"}
+        bpy.ops.view3d.view_all()
+    bpy.context.view_layer.update()
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", ARGUMENTS[0]
+    live = importlib.import_module(MODULE + ".clay_addon.tracking.live")
+    before = float(points()[:, 2].max())
+    bpy.context.scene.tactile_clay_sculpt.tool = "NONE"
+    with in_view():
+        assert bpy.ops.clay.tracking_start() == {"FINISHED"}
+    yield lambda: live.session.hand("right") is not None and live.session.hand("right").contact == 1.0
+    start()
+    yield moves
+    yield lambda: before - float(points()[:, 2].max()) > 0.006
+    screenshot(ARGUMENTS[1])
+    print("PRESSED", len(sessions.current.simulation.hands), flush=True)
+    print("FELT", sessions.current.felt > 1.0, flush=True)
+    key("ESC")
+    yield lambda: sessions.current is None
+    with in_view():
+        bpy.ops.clay.tracking_stop()
+    print("KEPT", before - float(points()[:, 2].max()) > 0.005, "clay_sculpted" in clay().data)
 
 run(steps())
 """
@@ -264,3 +300,20 @@ def test_a_session_ends_cleanly_whatever_happens_to_it(
     assert "CLAY CAME AND WENT" in result.output
     assert "OFF None [] False" in result.output, result.output
     assert "NO CLAY LEFT []" in result.output
+
+
+def test_a_tracked_hand_presses_the_clay(window: Any, blender_with_extension: Any) -> None:
+    """Play a recorded hand to the session from another process, and let it flatten a block."""
+    folder = blender_with_extension.folder
+    recording, picture = folder / "press.jsonl", folder / "hand.png"
+    recorder = Recorder(recording)
+    for number in range(600):
+        height = 0.16 - 0.14 * min(1.0, max(0.0, (number - 50) / 400))
+        frame = frame_at(number, number, at=(0.0, height, 0.0))
+        recorder.take(frame, number * 10 * MILLISECOND)
+    recorder.close()
+    result = window(HANDS, recording, picture)
+    assert result.exit_code == 0, result.output
+    assert "PRESSED 1" in result.output, result.output
+    assert "FELT True" in result.output, result.output
+    assert "KEPT True True" in result.output, result.output

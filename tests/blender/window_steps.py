@@ -81,7 +81,8 @@ def run(steps: Generator[Step, None, None]) -> None:
             wait = state["wait"]
             if wait is not None and not wait():
                 if time.monotonic() > state["until"]:
-                    raise TimeoutError(f"waited in vain at line {steps.gi_frame.f_lineno}")
+                    frame = getattr(steps, "gi_frame", None)
+                    raise TimeoutError(f"waited in vain at line {getattr(frame, 'f_lineno', '?')}")
                 return 0.02
             state["wait"] = None
             step = next(steps)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baking takes again: the same gesture gives the same clay, and finer clay the same dent."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.bake import BakeStaleError, bake
 from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.command_line import main
+from tactile_clay.clay_addon.export import clay_surface
 from tactile_clay.clay_addon.hand import hand_message, hand_objects
+from tactile_clay.clay_addon.panel import cache_state
 from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.film import make_film
 from tactile_clay.clay_addon.simulation import (
@@ -22,6 +26,7 @@ from tactile_clay.clay_addon.simulation import (
     clay_objects,
     collider_objects,
 )
+from tactile_clay.clay_addon.status import inspect
 from tactile_clay.clay_addon.surface import reconstruct
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
 from tactile_clay.clay_addon.tracking.keyframes import import_recording
@@ -38,6 +43,12 @@ def baked(film: Any, **options: Any) -> tuple[Any, NDArray[np.float32]]:
         bpy.context.window.scene = film
         result = bake(bpy.context, **options)
     return result, Cache(result.directory).read_frame(result.end).positions
+
+
+def printed(capsys: pytest.CaptureFixture[str]) -> Any:
+    """The table that a command printed, after what Blender says."""
+    text = capsys.readouterr().out
+    return json.loads(text[text.index("{") :])
 
 
 def heights(points: NDArray[np.floating], spacing: float) -> NDArray[np.float64]:
@@ -143,9 +154,13 @@ def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
     red = colors[there, 1] < 0.1
     assert red.sum() == (loop.simulation.colors[:, 1] < 0.1).sum() > 5
     assert last[there][red][:, 0].max() < -0.01
+    film.frame_set(film.frame_end)
+    _, count, _ = clay_surface(bpy.context, [fine])
+    assert count == len(live)
     # Stopped after the clay was taken away, and resumed.
     whole = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
-    baked(film, progress=lambda progress: progress.frame < 10)
+    stopped = bake(bpy.context, progress=lambda progress: progress.frame < 10)
+    assert stopped.cancelled and stopped.baked == 10
     assert bpy.ops.clay.resume() == {"FINISHED"}
     again = {each.name: each.read_bytes() for each in result.directory.glob("frame_*")}
     assert again == whole
@@ -226,6 +241,45 @@ def test_operator_bakes_again_and_says_what_is_missing(studio: Any, tmp_path: Pa
     assert bpy.context.scene.name == "Scene film"
     assert len(Cache(tmp_path / "clay_cache_film").frames()) == 7
     assert len(Cache(tmp_path / "clay_cache_take_001").frames()) == 7
+
+
+def test_take_is_not_baked_over(studio: Any, tmp_path: Path) -> None:
+    """Refuse to bake into a take's folder, to free it, and call no take stale."""
+    _, item = studio_scene(studio, tmp_path, rate=60)
+    loop = Loop(studio.scene)
+    record_press(loop, item, 0.1)
+    loop.finish()
+    for operator in (bpy.ops.clay.bake, bpy.ops.clay.resume, bpy.ops.clay.free):
+        with pytest.raises(RuntimeError, match="holds a recorded take"):
+            operator()
+    table = inspect(bpy.context, None)
+    assert table["bake"]["stale"] == table["bake"]["problem"] == ""
+    state, warning = cache_state(studio.scene, Cache(tmp_path / "clay_cache_take_001"))
+    assert "A recorded take of 7 frames" in state and warning == ""
+
+
+def test_take_is_baked_again_from_the_command_line(
+    studio: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Make the film's scene, bake it and save it; resume there; say what does not fit."""
+    _, item = studio_scene(studio, tmp_path, rate=60)
+    loop = Loop(studio.scene)
+    record_press(loop, item, 0.1)
+    blend = str(studio.save(tmp_path))
+    assert main(["bake", blend, "--again"]) == 1
+    assert "There is no take" in capsys.readouterr().err
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    loop.scene = studio.scene
+    loop.finish()
+    studio.save(tmp_path)
+    assert main(["bake", blend, "--spacing", "4"]) == 2
+    assert main(["bake", blend, "--again", "--spacing", "4", "--substeps", "5", "--json"]) == 0
+    table = printed(capsys)
+    assert table["baked"] == 7 and table["settings"]["substeps"] == 5
+    assert table["particle_count"] == pytest.approx((TOP / 0.004) ** 3, rel=0.02)
+    assert main(["bake", blend, "--again", "--resume", "--json"]) == 0
+    assert printed(capsys)["kept"] == 7
+    assert len(bpy.data.scenes) == 2
 
 
 def test_hands_do_in_the_film_what_they_did_live(studio: Any, tmp_path: Path) -> None:

@@ -16,16 +16,9 @@ from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.clay_points import is_sculpted
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.edits import Edit
-from tactile_clay.clay_addon.sculpt.session import SculptError, SculptSession
-
-
-@dataclass
-class Ball:
-    """A ball's mesh."""
-
-    vertices: Any
-    faces: Any
-    friction: float = 0.5
+from tactile_clay.clay_addon.sculpt.session import SculptSession
+from tactile_clay.clay_addon.sculpt.session_checks import SculptError
+from tactile_clay.clay_addon.sculpt.settings import ToolMesh
 
 
 @dataclass
@@ -40,10 +33,10 @@ class Finger:
     poses_asked: list[float] = field(default_factory=list)
     edits: list[Edit] = field(default_factory=list)
 
-    def meshes(self) -> list[Ball]:
+    def meshes(self) -> list[ToolMesh]:
         """One ball of a centimetre."""
         ball = trimesh.creation.icosphere(2, 0.01)
-        return [Ball(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
+        return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
     def poses(self, duration: float) -> list[tuple[Any, bool]]:
         """Above the clay, or in it."""

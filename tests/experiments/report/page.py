@@ -56,6 +56,8 @@ class Report:
     """Lines of the part about surfaces."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
+    frames: list[str] = field(default_factory=list)
+    """Lines of the live frame's part."""
     touch: list[str] = field(default_factory=list)
     """Lines of touch's part."""
     seconds: float = 0.0
@@ -99,6 +101,8 @@ def write_page(report: Report, folder: Path) -> None:
         lines += ["## Soft hands", "", *report.hands, ""]
     if report.surfaces:
         lines += ["## Surfaces while clay is worked", "", *report.surfaces, ""]
+    if report.frames:
+        lines += ["## A frame of live sculpting", "", *report.frames]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
     if report.touch:
