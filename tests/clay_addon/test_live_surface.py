@@ -97,6 +97,7 @@ def test_mesh_follows_and_rests(live: Live) -> None:
     """Write the mesh again when the clay has moved, in the same object, and else not."""
     live.tick()
     (item,) = live.stand_ins()
+    bpy.context.scene.name = live.clay.name = "Renamed"
     assert live.tick(0.1)
     assert live.stand_ins() == [item]
     assert np.array([vertex.co for vertex in item.data.vertices])[:, 0].min() > 0.05
