@@ -176,6 +176,11 @@ def bake_steps(
     it does the same. The scene's frame is put back either way.
     """
     scene = context.scene
+    # Not above: the session knows of bakes too.
+    from .sculpt import session
+
+    if session.current is not None:
+        raise BakeError("The clay is being sculpted. Press Finish, or Esc in the 3D view, first.")
     began = time.perf_counter()
     default_start, default_end = frame_range(scene)
     start = default_start if start is None else start

@@ -1,44 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
-import zlib
 from typing import Any
 
 import bpy
 
-from ..solver.material import Material
-
-CUSTOM = "CUSTOM"
-
-_MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
-
-
-def _preset_items() -> list[tuple[str, str, str, str, int]]:
-    # A .blend keeps the number, so it must stay the same when presets come and go.
-    items = [(CUSTOM, "Custom", "Values of your own", "NONE", 0)]
-    for name in Material.preset_names():
-        label = name.replace("_", " ").capitalize()
-        material = Material.preset(name)
-        description = f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
-        items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
-    return items
-
-
-PRESET_ITEMS = _preset_items()
-PRESET_DEFAULT = "plasticine"
-
+from .material_presets import (
+    CUSTOM,
+    MISSING,
+    PRESET_DEFAULT_NUMBER,
+    find_material,
+    object_items,
+    scene_items,
+)
+from .user_materials import MATERIAL_VALUES
 
 _filling = False
 
 
 def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
     global _filling
-    if properties.material_preset == CUSTOM:
+    name = properties.material_preset
+    if name == CUSTOM or name.startswith(MISSING):
         return
-    material = Material.preset(properties.material_preset)
+    material = find_material(name)
     _filling = True
     try:
-        for name in _MATERIAL_VALUES:
+        for name in MATERIAL_VALUES:
             setattr(properties, name, getattr(material, name))
     finally:
         _filling = False
@@ -85,8 +73,8 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What the clay is made of; choosing one fills in the values below",
-        items=PRESET_ITEMS,
-        default=PRESET_DEFAULT,
+        items=object_items,
+        default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
     )
     density: bpy.props.FloatProperty(
@@ -192,8 +180,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What new clay is made of",
-        items=[item for item in PRESET_ITEMS if item[0] != CUSTOM],
-        default=PRESET_DEFAULT,
+        items=scene_items,
+        default=PRESET_DEFAULT_NUMBER,
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",

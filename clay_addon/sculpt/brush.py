@@ -17,16 +17,14 @@ from .mirror import mirror_matrices
 from .raycast import ParticleSurface
 from .rigid import frame_of, tangent_of
 from .settings import BrushSettings, ToolMesh
-from .stroke import Stroke
+from .stroke import HOVER, Stroke
 from .tool_meshes import is_thin, sole_radius, tool_parts
-from .tool_poses import copy_poses, part_poses
+from .tool_poses import board_pose, copy_poses, part_poses
 from .view_region import Pointer, find_pointer, pointer_in
 
 _MOVES = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
 _LEAST_PRESSURE = 0.05
 """A pen reports nothing at first."""
-_HOVER = 0.25
-"""Without a stroke the tool is shown so far above the clay [brush radii]."""
 _STEP = 1.1
 """A press of [ or ] changes the radius by this factor."""
 
@@ -134,8 +132,10 @@ class Brush:
         meshes = self.meshes()
         if len(meshes) != len(self._poses):
             return []
-        # A copy that coincides with another is not felt, and need not be seen twice.
-        return [(mesh, pose, felt) for mesh, (pose, felt) in zip(meshes, self._poses, strict=True)]
+        shown = zip(meshes, self._poses, strict=True)
+        drawn = [(mesh, pose, felt) for mesh, (pose, felt) in shown]
+        # Nobody needs to see the board that holds the clay for a wire.
+        return drawn[::2] if self._settings.tool.path == "view" else drawn
 
     def poses(self, duration: float) -> list[tuple[NDArray[np.float64], bool]]:
         """Where the tool's meshes are after so many seconds, and whether the clay feels them.
@@ -381,7 +381,7 @@ class Brush:
             return
         tangent = tangent_of(pointer.view.up, cursor.normal, pointer.view.right)
         rotation = frame_of(cursor.normal, tangent)
-        tip = cursor.point + _HOVER * self._settings.radius * cursor.normal
+        tip = cursor.point + HOVER * self._settings.radius * cursor.normal
         self._pose(tip, rotation, False, None, 0.0)
 
     def _pose(
@@ -394,13 +394,19 @@ class Brush:
     ) -> None:
         parts, made_radius = self._parts()
         extent = float(np.ptp(self._positions, axis=0).max()) * self._settings.scale
-        self._poses = copy_poses(
-            self._settings,
-            tip,
-            rotation,
-            enabled,
-            part_poses(self._settings, len(parts), made_radius, gap, rolled, extent),
-        )
+        own = part_poses(self._settings, len(parts), made_radius, gap, rolled, extent)
+        self._poses = copy_poses(self._settings, tip, rotation, enabled, own)
+        if self._settings.tool.path == "view":
+            self._add_boards(enabled)
+
+    def _add_boards(self, enabled: bool) -> None:
+        """Hold the clay while a wire cuts it; there is a board beside each copy, and one holds."""
+        surface = self._stroke.surface if self._stroke is not None else self._surface()
+        board = board_pose(self._settings, surface.positions, enabled)
+        wires = self._poses
+        self._poses = []
+        for which, wire in enumerate(wires):
+            self._poses += [wire, (board, enabled and which == 0)]
 
     def _place(self, pointer: Pointer) -> NDArray[np.float64]:
         """Where the cursor is in the world [m], also beside the clay."""

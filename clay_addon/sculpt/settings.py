@@ -44,6 +44,8 @@ class BrushSettings:
     """Of paint and new clay, linear RGBA."""
     spacing: float = 0.005
     """Distance of neighbouring particles [m]."""
+    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    """Unit vector of gravity; straight down where there is none."""
     scale: float = 1.0
     """Metres in a Blender unit."""
     stamp: ToolPreset | None = None
@@ -58,4 +60,4 @@ class BrushSettings:
         As fast as a hand works, but not more than two spacings in 1/60 s: each substep of the
         solver takes a collider a quarter of a spacing along its normals.
         """
-        return min(0.6, 120.0 * self.spacing)
+        return self.tool.speed * min(0.6, 120.0 * self.spacing)

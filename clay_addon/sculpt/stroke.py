@@ -12,6 +12,7 @@ from .raycast import ParticleSurface
 from .rigid import frame_of, limited, tangent_of, turned_towards
 from .settings import BrushSettings
 from .surface_path import SurfacePath, Waypoint
+from .tool_meshes import is_aligned
 from .view_ray import View
 
 _EASE = 0.06
@@ -26,6 +27,12 @@ _PULL = 0.4
 """One step of the wheel pulls a pinch by this [brush radii]."""
 _LINGER = 0.5
 """After the button is let go, a tool has this long to reach its depth [s]."""
+HOVER = 0.25
+"""A tool that waits floats so far above the clay [brush radii]."""
+_DIRECTED = 0.3
+"""So far the cursor goes before its direction is known [brush radii]."""
+_WAIT = 0.4
+"""A tool does not wait longer than this for its direction [s]."""
 PINCH_OPEN = 1.6
 """Half the distance of the axes of two fingers before they close [brush radii]."""
 _PINCH_SPEED = 0.12
@@ -76,8 +83,8 @@ class Stroke:
         self.base = first
         self.rotation = frame_of(first.normal, _first_tangent(view, first.normal, self.tool.path))
         self._tangent = self.rotation[:, 1]
-        self.tip = first.point
-        self.depth = 0.0
+        self.depth = -HOVER * settings.radius
+        self.tip = first.point - self.depth * first.normal
         self.gap = PINCH_OPEN * settings.radius
         """Half the distance of two fingers' axes [m]."""
         self.rolled = 0.0
@@ -91,6 +98,8 @@ class Stroke:
         self._extra = 0.0
         self._lingered = 0.0
         self._standing = False
+        self._waited = 0.0
+        self._undirected = is_aligned(self.tool)
         self._shifted = (0.0, 0.0)
         self._cursor = (x, y)
 
@@ -160,6 +169,9 @@ class Stroke:
     def advance(self, duration: float) -> None:
         """Go on for so many seconds of simulated time."""
         if not self._standing:
+            if self._waits(duration):
+                # Over the clay as before the stroke, for where it is going is not known yet.
+                return
             self._set_down()
             return
         self.enabled = True
@@ -185,12 +197,25 @@ class Stroke:
     @property
     def closed_gap(self) -> float:
         """Half the distance of two fingers' axes when they hold clay [m]."""
-        thin = max(0.75 * self.settings.spacing, 0.12 * self.settings.radius)
-        return 0.6 * self.settings.radius + thin
+        thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
+        return self.tool.size * self.settings.radius + thin
 
     @property
     def _closing(self) -> bool:
         return self.tool.path == "pinch" and self.gap > self.closed_gap
+
+    def _waits(self, duration: float) -> bool:
+        """Whether a tool that is to be turned along the stroke waits for its direction."""
+        if not self._undirected:
+            return False
+        self._waited += duration
+        way = (self._queue[-1] if self._queue else self.base).point - self.base.point
+        if float(np.linalg.norm(way)) > _DIRECTED * self.settings.radius:
+            self._tangent = tangent_of(way, self.base.normal, self._tangent)
+        elif self._waited < _WAIT and not self.released:
+            return True
+        self._undirected = False
+        return False
 
     def _set_down(self) -> None:
         """Stand clear of the clay, unfelt: the tool may have come from anywhere."""

@@ -11,12 +11,14 @@ from ..tool_presets import load_tool_preset
 from .settings import BrushSettings, ToolMesh
 from .tools import Tool
 
+_PADS = (1.0, 1.5, 1.0)
+"""Fingers that pinch are broad, as the pads of thumb and finger are, so that clay stays between."""
+_ROUGH = 50.0
+"""Friction of the board that holds the clay: with clay of .5 it makes 5, so weight holds well."""
 WIRE_LENGTH = 1.0
 """Of a wire's mesh [m]; its pose stretches it."""
 _WIRE_THICKNESS = 0.9
 """Diameter of a wire [spacings]: thinner, the solver no longer cuts cleanly; see the presets."""
-FINGERS_SIZE = 0.6
-"""Of the two fingers of a pinch [brush radii]."""
 
 
 def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
@@ -32,14 +34,16 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
     if tool.path == "edit":
         return []
     if tool.path == "view":
-        return [_wire(settings.spacing)]
+        return [_wire(settings.spacing), _board()]
     preset = settings.stamp if tool.identifier == "STAMP" else None
     if preset is None:
         assert tool.preset is not None
         preset = _preset(tool.preset)
-    size = FINGERS_SIZE if tool.path == "pinch" else 1.0
-    vertices = preset.fitted(size * settings.radius, settings.spacing)
-    mesh = ToolMesh(vertices, preset.faces, preset.friction)
+    vertices = preset.fitted(tool.size * settings.radius, settings.spacing)
+    if tool.path == "pinch":
+        vertices = vertices * _PADS
+    friction = preset.friction if tool.friction is None else tool.friction
+    mesh = ToolMesh(vertices, preset.faces, friction)
     return [mesh, mesh] if tool.path == "pinch" else [mesh]
 
 
@@ -63,6 +67,24 @@ def sole_radius(parts: list[ToolMesh], radius: float) -> float:
 
 
 _preset = lru_cache(load_tool_preset)
+
+
+def is_aligned(tool: Tool) -> bool:
+    """Whether a tool has to be turned along the stroke before it meets the clay."""
+    return tool.preset is not None and _preset(tool.preset).align == "stroke"
+
+
+def _board() -> ToolMesh:
+    """A rough plate that holds the clay while a wire is drawn through it: who cuts, holds.
+
+    A box of 1 m, the middle of its upper side at the origin; its pose sizes it.
+    """
+    corners = np.array([(x, y, z) for z in (-1.0, 0.0) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+    faces = [
+        (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
+        (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
+    ]  # fmt: skip
+    return ToolMesh(corners, np.array(faces, np.int32), friction=_ROUGH)
 
 
 def _wire(spacing: float) -> ToolMesh:

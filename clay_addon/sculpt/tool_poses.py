@@ -7,10 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .mirror import mirror_matrices, snap_to_planes, used_copies
-from .rigid import frame_of
+from .rigid import frame_of, turn_about
 from .settings import BrushSettings
 from .stroke import PINCH_OPEN
 from .tool_meshes import WIRE_LENGTH
+
+_LIFT = -0.4
+_BELOW = 1.5
+"""Height of a board's top over the middle of the lowest particles, which lie half a spacing over
+what carries them: holding, and before [spacings]."""
+
+
+_LEANING = np.radians(30.0)
+_LEAN = np.eye(4)
+_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), _LEANING)
+"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
+comes along when they rise."""
 
 
 def part_poses(
@@ -39,7 +51,7 @@ def part_poses(
     if settings.tool.path == "pinch":
         away = PINCH_OPEN * radius if gap is None else gap
         return [
-            _shift((sign * away, 0.0, 0.0)) @ np.diag([sign, sign, 1.0, 1.0]) @ sized
+            np.diag([sign, sign, 1.0, 1.0]) @ _shift((away, 0.0, 0.0)) @ _LEAN @ sized
             for sign in (1.0, -1.0)
         ]
     if settings.tool.rolls and rolled:
@@ -77,6 +89,29 @@ def copy_poses(
     pose[:3, :3], pose[:3, 3] = rotation, tip
     copies = zip(mirror_matrices(axes, frame), used_copies(axes, coinciding), strict=True)
     return [(matrix @ pose @ part, enabled and used) for matrix, used in copies for part in parts]
+
+
+def board_pose(
+    settings: BrushSettings, positions: NDArray[np.floating], lifted: bool
+) -> NDArray[np.float64]:
+    """Where the board under the clay is that holds it while it is cut, shape [4, 4].
+
+    Args:
+        settings: Of the brush.
+        positions: The clay when the stroke began [m], shape [N, 3].
+        lifted: Whether it carries the clay, or lies below.
+    """
+    up = -np.array(settings.down)
+    height = positions @ up.astype(np.float32)
+    middle = positions.mean(0, dtype=np.float64)
+    # A hair above what the clay lies on, so that it is the board that carries the weight.
+    top = float(height.min()) + (_LIFT if lifted else -_BELOW) * settings.spacing
+    extent = float(np.ptp(positions, axis=0).max())
+    rotation = frame_of(up, np.eye(3)[np.argmin(np.abs(up))])
+    pose = np.eye(4)
+    pose[:3, :3] = rotation * np.array([4.0 * extent, 4.0 * extent, 4.0 * settings.spacing])
+    pose[:3, 3] = middle + (top - float(middle @ up)) * up
+    return pose
 
 
 def _shift(offset: tuple[float, float, float]) -> NDArray[np.float64]:

@@ -34,6 +34,12 @@ class Tool:
     """Name of its mesh in ``presets/tools``."""
     depth: float = 1.0
     """How deep it goes at full strength and pressure [brush radii]."""
+    size: float = 1.0
+    """Of its mesh, over how it comes along."""
+    friction: float | None = None
+    """Coulomb friction coefficient; its preset's where not given."""
+    speed: float = 1.0
+    """How fast it moves, for how fast a hand works; clay is tough where it is cut fast."""
     rolls: bool = False
     """Whether it rolls along the stroke instead of sliding."""
     edit: EditKind | None = None
@@ -79,7 +85,15 @@ TOOLS = (
         "knife",
         depth=3.0,
     ),
-    Tool("WIRE", 8, "Wire", "IPO_LINEAR", "Cut right through, along the line drawn", "view"),
+    Tool(
+        "WIRE",
+        8,
+        "Wire",
+        "IPO_LINEAR",
+        "Cut right through, along the line drawn",
+        "view",
+        speed=0.4,
+    ),
     Tool(
         "LOOP", 9, "Loop", "MESH_TORUS", "Scrape clay off with a loop of ribbon", "surface", "loop"
     ),
@@ -91,7 +105,10 @@ TOOLS = (
         "Level bumps with a palm that keeps to the average surface",
         "level",
         "palm",
-        depth=0.16,
+        depth=0.1,
+        size=0.5,
+        # As a wet hand: what sticks, drags.
+        friction=0.05,
     ),
     Tool(
         "PINCH",
@@ -102,6 +119,8 @@ TOOLS = (
         "pinch",
         "finger",
         depth=1.4,
+        size=0.6,
+        friction=0.8,
     ),
     Tool("ADD", 12, "Add Clay", "ADD", "Put more clay on; Ctrl takes away", "edit", edit="add"),
     Tool("REMOVE", 13, "Remove Clay", "REMOVE", "Take clay away; Ctrl adds", "edit", edit="remove"),

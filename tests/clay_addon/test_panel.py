@@ -21,7 +21,12 @@ class Layout:
     def __getattr__(self, name: str) -> Any:
         if name in ("row", "column", "box"):
             return lambda **_: Layout(self.texts)
-        return lambda *_, text="", **__: self.texts.append(text)
+        return self.take_down
+
+    def take_down(self, *_: Any, text: str = "", **__: Any) -> SimpleNamespace:
+        """Keep a text; a button hands back its operator's options, to be set."""
+        self.texts.append(text)
+        return SimpleNamespace()
 
 
 def drawn(cls: Any) -> str:

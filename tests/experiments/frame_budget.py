@@ -158,9 +158,7 @@ def main() -> None:
     import tactile_clay
 
     tactile_clay.register()
-    rows = [
-        asdict(measure(spacing, hand=hand)) for spacing in SPACINGS for hand in (False, True)
-    ]
+    rows = [asdict(measure(spacing, hand=hand)) for spacing in SPACINGS for hand in (False, True)]
     print(json.dumps(rows), flush=True)
     tactile_clay.unregister()
 
