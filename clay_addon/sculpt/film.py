@@ -92,6 +92,7 @@ def make_film(
     properties = film.tactile_clay
     properties.substeps = substeps
     properties.hands_give_way = True
+    properties.record_take = False
     if not known:
         base = source.tactile_clay.cache_directory.rstrip("/\\")
         properties.cache_directory = f"{_TAKE.sub('', base)}_film"
