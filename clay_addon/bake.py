@@ -357,8 +357,9 @@ def _note_diagnostics(simulation: Simulation, tally: _Tally) -> None:
     figures = simulation.solver.diagnostics()
     tally.volume_errors.append(figures.volume_error)
     tally.penetrations.append(figures.max_penetration)
-    tally.overflow = figures.overflow
-    tally.quarantined = figures.quarantined
+    # Edits have the solver built anew, which counts from 0 again.
+    tally.overflow = max(tally.overflow, figures.overflow)
+    tally.quarantined = max(tally.quarantined, figures.quarantined)
 
 
 def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..collider import TAKE_TOOL
 from ..hand import hand_objects, make_hand, scene_spacing
-from ..hand_reading import HandError
+from ..hand_reading import HandError, hand_armature
 from ..hand_store import load_hand, stored_spacing
 from ..look import MODIFIER_NAME, add_look, get_input, set_input
 from ..make_clay import ClayError, fill_pieces, make_point_cloud
@@ -92,6 +92,7 @@ def make_film(
     properties = film.tactile_clay
     properties.substeps = substeps
     properties.hands_give_way = True
+    properties.record_take = False
     if not known:
         base = source.tactile_clay.cache_directory.rstrip("/\\")
         properties.cache_directory = f"{_TAKE.sub('', base)}_film"
@@ -149,6 +150,8 @@ def _furnish(
         and item.animation_data.action is not None
     ]
     moving += [item for item in collider_objects(source) if TAKE_TOOL in item]
+    # Their armatures, too, where no take moved them: tracking would do so some day.
+    moving += [hand_armature(hand) for hand in hands]
     made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
     edits = take_edits(source)
     room = room_for(edits, spacing * source.unit_settings.scale_length)

@@ -297,20 +297,20 @@ def test_hands_do_in_the_film_what_they_did_live(studio: Any, tmp_path: Path) ->
     studio.save(tmp_path)
     loop = Loop(scene)
     poses = [armature.matrix_world @ bone.matrix]
-    for number in range(1, 25):
+    for number in range(1, 17):
         bone.rotation_mode = "XYZ"
-        bone.rotation_euler.x = np.radians(-35.0 * min(number / 12, 1.0))
-        armature[CONTACT_PROPERTY] = 1.0 if number < 20 else 0.0
+        bone.rotation_euler.x = np.radians(-35.0 * min(number / 10, 1.0))
+        armature[CONTACT_PROPERTY] = 1.0 if number < 14 else 0.0
         armature.update_tag()
         loop.step()
         poses.append(armature.matrix_world @ bone.matrix)
     loop.finish()
     assert np.abs(loop.shapes[-1] - loop.shapes[0]).max() > 0.003
-    for frame in (1, 6, 13, 25):
+    for frame in (1, 6, 13, 17):
         scene.frame_set(frame)
         shown = armature.matrix_world @ bone.matrix
         np.testing.assert_allclose(np.array(shown), np.array(poses[frame - 1]), atol=1e-6)
-        assert armature[CONTACT_PROPERTY] == (1.0 if frame < 21 else 0.0)
+        assert armature[CONTACT_PROPERTY] == (1.0 if frame < 15 else 0.0)
     film = make_film(bpy.context, spacing=clay.tactile_clay.spacing)
     assert hand_objects(film)[0].data == hand.data
     _, last = baked(film)
@@ -337,7 +337,7 @@ def test_two_tracked_hands_are_recorded_and_replayed(studio: Any, tmp_path: Path
     assert bpy.ops.clay.hand_add(side="BOTH") == {"FINISHED"}
     hands = {("left" if "Left" in each.name else "right"): each for each in hand_objects(scene)}
     armatures = {side: each.parent for side, each in hands.items()}
-    entries = read_recording(LEAP)
+    entries = [entry for entry in read_recording(LEAP) if entry.time < 8e8]
     imported = import_recording(scene, entries, armatures, start=1)
     studio.save(tmp_path)
     first = imported.first + 20

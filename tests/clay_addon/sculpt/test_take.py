@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -18,6 +17,7 @@ from tactile_clay.clay_addon import cache_files
 from tactile_clay.clay_addon.bake_checks import resolve_directory
 from tactile_clay.clay_addon.cache import Cache, CacheError
 from tactile_clay.clay_addon.sculpt.edits import Edit
+from tactile_clay.clay_addon.sculpt.settings import ToolMesh
 from tactile_clay.clay_addon.sculpt.take import TakeError, TakeRecorder
 from tactile_clay.clay_addon.sculpt.take_files import read_take
 from tactile_clay.clay_addon.sculpt.take_store import store_take, take_edits, take_start
@@ -120,8 +120,9 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
     studio.scene.unit_settings.scale_length = 0.5
     loop = Loop(studio.scene)
     shape = ball(0.01)
-    small = SimpleNamespace(vertices=shape.vertices, faces=shape.faces, friction=0.3)
-    never = SimpleNamespace(vertices=2 * shape.vertices, faces=shape.faces, friction=0.3)
+    faces = np.asarray(shape.faces, np.int32)
+    small = ToolMesh(np.asarray(shape.vertices), faces, 0.3)
+    never = ToolMesh(2.0 * np.asarray(shape.vertices), faces, 0.3)
     for number in range(1, 13):
         loop.recorder.use_tools([small] if number < 10 else [never])
         pose = np.eye(4)
