@@ -22,7 +22,7 @@ import bpy
 
 from .cache import CacheError
 from .cache_files import lock_file, replace_file
-from .delivery_files import FRAMES_FOLDER, FrameWriter, write_root
+from .delivery_files import FRAMES_FOLDER, ROOT_NAME, FrameWriter, write_root
 from .delivery_object import close_delivery, show_delivery
 from .playback import cache_of
 from .properties import frame_range
@@ -60,7 +60,7 @@ class DeliveryResult:
     """What a delivery did."""
 
     file: Path
-    """The file to open."""
+    """The file to open; the first of a sequence for Alembic."""
     start: int
     """First frame."""
     end: int
@@ -168,18 +168,20 @@ def deliver_steps(
         shown = ShownClay(scene, clay, cache_of(scene))
         first, last = _range(scene, shown, start, end)
         with _partial_folder(target) as folder:
-            shapes = yield from _write_frames(scene, shown, folder, kind, first, last, points, tally)
-            root = folder / _root_name(kind)
+            shapes = yield from _write_frames(
+                scene, shown, folder, kind, first, last, points, tally
+            )
+            files = {number: name for number, (name, _) in shapes.items()}
+            object_path = shapes[first][1]
             if kind == "usd":
                 write_root(
-                    root,
-                    {number: folder / FRAMES_FOLDER / name for number, (name, _) in shapes.items()},
+                    folder / ROOT_NAME,
+                    {number: folder / FRAMES_FOLDER / name for number, name in files.items()},
                     last=last,
                     frames_per_second=frames_per_second(scene),
                     meters_per_unit=scene.unit_settings.scale_length,
                 )
-            object_path = next(iter(shapes.values()))[1]
-            _write_note(folder, kind, first, last, {n: s[0] for n, s in shapes.items()}, object_path)
+            _write_note(folder, kind, first, last, files, object_path)
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
             if show:
                 # An open file keeps some systems from moving its folder.
@@ -204,10 +206,11 @@ def deliver_steps(
         ) from error
     name = ""
     if show:
-        files = {number: shape[0] for number, shape in shapes.items()}
-        name = show_delivery(scene, clay, target, kind, files, object_path, last).name
+        with_points = points and kind == "usd"
+        played = show_delivery(scene, clay, target, kind, files, object_path, points=with_points)
+        name = played.name
     return DeliveryResult(
-        file=target / _root_name(kind) if kind == "usd" else target / FRAMES_FOLDER,
+        file=target / (ROOT_NAME if kind == "usd" else f"{FRAMES_FOLDER}/{files[first]}"),
         start=first,
         end=last,
         shapes=len(tally.sizes),
@@ -222,9 +225,7 @@ def deliver_steps(
     )
 
 
-def resolve_folder(
-    scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None
-) -> Path:
+def resolve_folder(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None) -> Path:
     """The folder of a scene's delivery as an absolute path.
 
     Raises:
@@ -287,7 +288,7 @@ def _write_frames(
     tally: _Tally,
 ) -> Generator[DeliveryProgress, None, dict[int, tuple[str, str]]]:
     """Write every shape once; gives the file and its object path from each frame on."""
-    files: dict[tuple[object, ...], str] = {}
+    files: dict[tuple[tuple[object, ...], ...], str] = {}
     shapes: dict[int, tuple[str, str]] = {}
     (folder / FRAMES_FOLDER).mkdir()
     rate = scene.render.fps, scene.render.fps_base
@@ -300,7 +301,7 @@ def _write_frames(
             if key not in files:
                 start = time.perf_counter()
                 particles = shown.read(number)
-                surface, count, volume = particles_surface(particles)
+                surface, count, volume = particles_surface(particles, moving=kind == "usd")
                 tally.sizes.append(writer.write(number, surface, particles))
                 tally.seconds.append(time.perf_counter() - start)
                 tally.volume_errors.append(surface.volume / volume - 1)
@@ -312,10 +313,6 @@ def _write_frames(
             left = (time.perf_counter() - began) / done * (total - done)
             yield DeliveryProgress(number, done, total, sum(tally.sizes), left)
     return shapes
-
-
-def _root_name(kind: str) -> str:
-    return "clay.usda" if kind == "usd" else ""
 
 
 def _write_note(

@@ -20,13 +20,15 @@ import bpy
 import numpy as np
 
 from .cache_files import replace_file
-from .look import set_input
+from .look import get_input, set_input
 from .surface import Surface
 
 COLOR_ATTRIBUTE = "displayColor"
 """The name that programs which read USD show without being told."""
 VELOCITY_ATTRIBUTE = "velocity"
 """What Cycles makes motion blur from, per second."""
+ROOT_NAME = "clay.usda"
+"""The file that plays all shapes."""
 FRAMES_FOLDER = "frames"
 POINTS_PATH = "/Clay/points/PointCloud"
 
@@ -107,9 +109,7 @@ class FrameWriter:
             self._export(number, path)
         finally:
             for item in items:
-                mesh = item.data
-                bpy.data.objects.remove(item)
-                bpy.data.meshes.remove(mesh)
+                _remove(item)
         size = path.stat().st_size if path.is_file() else 0
         if size == 0:
             raise OSError(f"Blender wrote nothing into {path}")
@@ -117,12 +117,11 @@ class FrameWriter:
 
     def _surface_item(self, surface: Surface) -> bpy.types.Object:
         mesh = triangle_mesh(self.name, surface)
-        assert surface.colors is not None and surface.velocities is not None
+        assert surface.colors is not None
         if self._kind == "usd":
             _add_attribute(mesh, COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", surface.colors)
-            _add_attribute(
-                mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities
-            )
+            assert surface.velocities is not None
+            _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
         else:
             # Alembic of Blender has no other colours, and no velocities.
             layer = mesh.attributes.new(COLOR_ATTRIBUTE, "BYTE_COLOR", "CORNER")
@@ -132,6 +131,7 @@ class FrameWriter:
         return self._item(self.name, mesh, self._whole if self._kind == "usd" else None)
 
     def _points_item(self, particles: Sequence[Any]) -> bpy.types.Object:
+        """A point cloud whose nodes take the particles from a mesh: 4.5 can size no point cloud."""
         positions = np.concatenate([part.positions for part in particles])
         mesh = bpy.data.meshes.new("points")
         mesh.vertices.add(len(positions))
@@ -141,14 +141,15 @@ class FrameWriter:
             (VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", _all(particles, "velocities")),
         ):
             _add_attribute(mesh, name, kind, key, values)
-        item = self._item("points", mesh, self._cloud)
+        item = self._item("points", bpy.data.pointclouds.new("points"), self._cloud)
+        set_input(item.modifiers[0], "Particles", bpy.data.objects.new("particles", mesh))
         set_input(item.modifiers[0], "Radius", 0.5 * particles[0].spacing)
         return item
 
     def _item(
-        self, name: str, mesh: bpy.types.Mesh, group: bpy.types.NodeTree | None
+        self, name: str, data: bpy.types.ID, group: bpy.types.NodeTree | None
     ) -> bpy.types.Object:
-        item = bpy.data.objects.new(name, mesh)
+        item = bpy.data.objects.new(name, data)
         if group is not None:
             item.modifiers.new("Late", "NODES").node_group = group
         return item
@@ -280,6 +281,16 @@ def _call(operator: Any, **options: Any) -> None:
     operator(**{name: value for name, value in options.items() if name in known})
 
 
+def _remove(item: bpy.types.Object) -> None:
+    """Remove an object with its data and with the object its nodes take particles from."""
+    source = get_input(item.modifiers[0], "Particles") if item.type == "POINTCLOUD" else None
+    data = item.data
+    bpy.data.objects.remove(item)
+    bpy.data.batch_remove([data])
+    if source is not None:
+        _remove(source)
+
+
 def _free_name(name: str) -> str:
     """A name that no object and no mesh has, so that Blender leaves it as it is."""
     wanted, count = name, 1
@@ -298,6 +309,7 @@ def _late_group(domain: str, *, as_points: bool) -> bpy.types.NodeTree:
     socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     socket("Frame", in_out="INPUT", socket_type="NodeSocketInt")
     socket("Radius", in_out="INPUT", socket_type="NodeSocketFloat")
+    socket("Particles", in_out="INPUT", socket_type="NodeSocketObject")
     given = tree.nodes.new("NodeGroupInput")
     early = tree.nodes.new("ShaderNodeMath")
     early.operation = "LESS_THAN"
@@ -309,7 +321,11 @@ def _late_group(domain: str, *, as_points: bool) -> bpy.types.NodeTree:
     tree.links.new(tree.nodes.new("GeometryNodeInputIndex").outputs[0], beyond.inputs[1])
     left = tree.nodes.new("GeometryNodeDeleteGeometry")
     left.domain = domain
-    tree.links.new(given.outputs["Geometry"], left.inputs["Geometry"])
+    source = given
+    if as_points:
+        source = tree.nodes.new("GeometryNodeObjectInfo")
+        tree.links.new(given.outputs["Particles"], source.inputs["Object"])
+    tree.links.new(source.outputs["Geometry"], left.inputs["Geometry"])
     tree.links.new(beyond.outputs[0], left.inputs["Selection"])
     geometry = left.outputs[0]
     if as_points:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object that plays a delivery: a Mesh Sequence Cache and stock nodes, nothing of the add-on."""
+"""The object that plays a delivery: a Mesh Sequence Cache and stock nodes, none of the add-on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 from .delivery_files import COLOR_ATTRIBUTE as FILE_COLOR
-from .delivery_files import FRAMES_FOLDER
+from .delivery_files import FRAMES_FOLDER, POINTS_PATH, ROOT_NAME
 from .fcurves import write_keys
 from .look import (
     COLOR_ATTRIBUTE,
@@ -22,9 +22,11 @@ from .look import (
 from .shown_clay import world_spacing
 
 OBJECT_NAME = "Clay Delivery"
+POINTS_NAME = "Clay Delivery Points"
 MODIFIER_NAME = "Clay Delivery"
 NODE_GROUP_NAME = "Clay Delivery"
 _MARK = "tactile_clay_delivery"
+_POINTS_MARK = "tactile_clay_delivery_points"
 _HIDDEN_MARK = "tactile_clay_delivered"
 """Custom property of clay that a delivery hid: whether it was to be rendered before."""
 _VERSION = 1
@@ -37,13 +39,13 @@ def delivered_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
 
 def close_delivery(scene: bpy.types.Scene) -> None:
     """Let go of the files of a delivery; the object that played it stays, and shows nothing."""
-    item = delivered_object(scene)
-    for modifier in item.modifiers if item else ():
-        if modifier.type == "MESH_SEQUENCE_CACHE" and modifier.cache_file is not None:
-            used = modifier.cache_file
-            modifier.cache_file = None
-            if used.users == 0:
-                bpy.data.batch_remove([used])
+    for item in (delivered_object(scene), _points_object(scene)):
+        for modifier in item.modifiers if item else ():
+            if modifier.type == "MESH_SEQUENCE_CACHE" and modifier.cache_file is not None:
+                used = modifier.cache_file
+                modifier.cache_file = None
+                if used.users == 0:
+                    bpy.data.batch_remove([used])
 
 
 def show_delivery(
@@ -53,7 +55,8 @@ def show_delivery(
     kind: str,
     shapes: Mapping[int, str],
     object_path: str,
-    last: int,
+    *,
+    points: bool = False,
 ) -> bpy.types.Object:
     """Play a delivery in place of the clay, which is hidden.
 
@@ -67,20 +70,24 @@ def show_delivery(
         kind: ``usd`` or ``abc``.
         shapes: Name of the file shown at each frame.
         object_path: Where in a file the surface is.
-        last: The last frame.
+        points: Whether the files have the particles too: an object that plays them is made, hidden.
 
     Returns:
-        The object.
+        The object that plays the surface.
     """
     close_delivery(scene)
     item = delivered_object(scene) or _new_object(scene, clay)
     item[_MARK] = kind
-    cache_file = _open(folder / ("clay.usda" if kind == "usd" else f"{FRAMES_FOLDER}/{shapes[min(shapes)]}"))
+    first = f"{FRAMES_FOLDER}/{shapes[min(shapes)]}"
+    cache_file = _open(folder / (ROOT_NAME if kind == "usd" else first))
     if kind == "abc":
-        _play_sequence(cache_file, shapes, last)
-    player = next(m for m in item.modifiers if m.type == "MESH_SEQUENCE_CACHE")
-    player.cache_file = cache_file
-    player.object_path = object_path
+        _play_sequence(cache_file, shapes)
+    _play(item, cache_file, object_path)
+    cloud = _points_object(scene)
+    if points:
+        _play(cloud or _new_points(scene), cache_file, POINTS_PATH)
+    elif cloud is not None:
+        _remove(cloud)
     for part in clay:
         if _HIDDEN_MARK not in part:
             part[_HIDDEN_MARK] = not part.hide_render
@@ -99,11 +106,9 @@ def remove_delivery(scene: bpy.types.Scene) -> bool:
     """
     item = delivered_object(scene)
     close_delivery(scene)
-    if item is not None:
-        mesh = item.data
-        bpy.data.objects.remove(item)
-        if mesh.users == 0:
-            bpy.data.meshes.remove(mesh)
+    for made in (item, _points_object(scene)):
+        if made is not None:
+            _remove(made)
     for part in scene.objects:
         if _HIDDEN_MARK in part:
             part.hide_render = not part[_HIDDEN_MARK]
@@ -111,6 +116,38 @@ def remove_delivery(scene: bpy.types.Scene) -> bool:
             with contextlib.suppress(RuntimeError):
                 part.hide_set(False)
     return item is not None
+
+
+def _points_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    return next((item for item in scene.objects if item.get(_POINTS_MARK)), None)
+
+
+def _new_points(scene: bpy.types.Scene) -> bpy.types.Object:
+    item = bpy.data.objects.new(POINTS_NAME, bpy.data.pointclouds.new(POINTS_NAME))
+    item[_POINTS_MARK] = True
+    scene.collection.objects.link(item)
+    item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
+    # They lie inside the surface.
+    item.hide_render = True
+    with contextlib.suppress(RuntimeError):
+        item.hide_set(True)
+    return item
+
+
+def _play(item: bpy.types.Object, cache_file: bpy.types.CacheFile, path: str) -> None:
+    player = next((m for m in item.modifiers if m.type == "MESH_SEQUENCE_CACHE"), None)
+    if player is None:
+        player = item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
+        item.modifiers.move(len(item.modifiers) - 1, 0)
+    player.cache_file = cache_file
+    player.object_path = path
+
+
+def _remove(item: bpy.types.Object) -> None:
+    data = item.data
+    bpy.data.objects.remove(item)
+    if data.users == 0:
+        bpy.data.batch_remove([data])
 
 
 def _new_object(scene: bpy.types.Scene, clay: Sequence[bpy.types.Object]) -> bpy.types.Object:
@@ -130,13 +167,15 @@ def _open(path: Path) -> bpy.types.CacheFile:
     before = set(bpy.data.cache_files)
     bpy.ops.cachefile.open(filepath=str(path))
     (cache_file,) = set(bpy.data.cache_files) - before
+    # The operator counts itself as a user, so that the file would never be let go of.
+    cache_file.user_clear()
     if bpy.data.filepath:
         with contextlib.suppress(ValueError):
             cache_file.filepath = bpy.path.relpath(str(path))
     return cache_file
 
 
-def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str], last: int) -> None:
+def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]) -> None:
     """Let a file of each shape be opened at the frames at which it is shown."""
     cache_file.is_sequence = True
     cache_file.override_frame = True

@@ -23,7 +23,8 @@ from bpy_extras.io_utils import ExportHelper
 from numpy.typing import NDArray
 
 from .cache_files import replace_file
-from .surface import Surface, SurfaceError, reconstruct
+from .shown_clay import Particles, ShownClayError, particles_surface
+from .surface import Surface, SurfaceError
 
 SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 UNITS = {"m": 1.0, "mm": 1000.0}
@@ -159,71 +160,25 @@ def clay_surface(
         ExportError: if an object is no clay.
         SurfaceError: if the particles have no surface.
     """
-    scale = context.scene.unit_settings.scale_length
-    groups: dict[float, list[tuple[NDArray[np.float64], NDArray[np.float32]]]] = {}
-    for item in objects:
-        positions, colors, spacing = _particles(context.scene, item)
-        # Single precision in the properties must not keep equal spacings apart.
-        key = float(f"{spacing * scale:.5g}")
-        groups.setdefault(key, []).append((positions * scale, colors))
-    surfaces = []
-    volume = 0.0
-    particle_count = 0
-    for spacing, parts in groups.items():
-        positions = np.concatenate([part[0] for part in parts])
-        colors = np.concatenate([part[1] for part in parts])
-        try:
-            surfaces.append(reconstruct(positions, spacing, colors=colors))
-        except ImportError as error:
-            raise ExportError(
-                "The package pysplashsurf is missing, so no surface can be made. Install the"
-                " extension from the zip for this platform."
-            ) from error
-        volume += len(positions) * spacing**3
-        particle_count += len(positions)
-    return _joined(surfaces), particle_count, volume
+    scene = context.scene
+    scale = scene.unit_settings.scale_length
+    try:
+        parts = [part.scaled(scale) for part in _shown(scene, objects)]
+        return particles_surface(parts)
+    except ShownClayError as error:
+        raise ExportError(str(error)) from error
+    except ImportError as error:
+        raise ExportError(
+            "The package pysplashsurf is missing, so no surface can be made. Install the"
+            " extension from the zip for this platform."
+        ) from error
 
 
-def _particles(
-    scene: bpy.types.Scene, item: bpy.types.Object
-) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
-    """World positions, colours and world spacing of a clay object, in Blender units."""
-    from .mesh_geometry import transform
-    from .pack import is_packed, packed_positions
-    from .simulation import clay_colors, read_points
+def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[Particles]:
+    """The particles that are seen at the current frame, whether they are baked or not."""
+    from .shown_clay import ShownClay
 
-    if item.type != "POINTCLOUD":
-        raise ExportError(f"{item.name!r} is a {item.type.lower()}, not clay.")
-    local: NDArray[np.float32] | None = (
-        packed_positions(item, scene.frame_current_final)
-        if is_packed(item)
-        else read_points(item, "position")
-    )
-    if local is None or len(local) == 0:
-        raise ExportError(f"{item.name!r} has no particles.")
-    spacing = getattr(getattr(item, "tactile_clay", None), "spacing", 0.0)
-    if not spacing > 0:
-        radius = item.data.attributes.get("radius")
-        spacing = 2 * radius.data[0].value if radius else 0.0
-    if not spacing > 0:
-        raise ExportError(f"{item.name!r} has no particle distance. Make the clay again.")
-    matrix = np.array(item.matrix_world, np.float64)
-    stretch = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-    if not stretch > 0:
-        raise ExportError(f"{item.name!r} is scaled to nothing. Give it a scale above 0.")
-    return transform(matrix, local), clay_colors(item), float(spacing * stretch)
-
-
-def _joined(surfaces: list[Surface]) -> Surface:
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    colors = [surface.colors for surface in surfaces if surface.colors is not None]
-    return Surface(
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate(
-            [surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]
-        ),
-        np.concatenate(colors) if colors else None,
-    )
+    return ShownClay(scene, objects, None).read(scene.frame_current_final)
 
 
 def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

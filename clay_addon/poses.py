@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from .fcurves import find_curve
 from .look import get_input, input_path, set_input
-from .pack import FRAME_ATTRIBUTE, MODIFIER_NAME as PLAYBACK_MODIFIER, is_packed
+from .pack import FRAME_ATTRIBUTE, is_packed
+from .pack import MODIFIER_NAME as PLAYBACK_MODIFIER
 
 NODE_GROUP_NAME = "Clay Poses"
 MODIFIER_NAME = "Clay Poses"

@@ -206,6 +206,20 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_delivery",
     )
+    delivery_kind: bpy.props.EnumProperty(
+        name="Format",
+        description="What is written, and played in place of the clay",
+        items=(
+            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+        ),
+        default="usd",
+    )
+    delivery_points: bpy.props.BoolProperty(
+        name="Particles Too",
+        description="Write the particles beside the surface, for other programs (USD only)",
+        default=False,
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Scene Range",
         description="Bake the frame range of the scene",

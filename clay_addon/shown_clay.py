@@ -75,12 +75,15 @@ class ShownClay:
             if is_bake_of(meta, self._objects):
                 self._meta, self.baked = meta, cache.frames()
 
-    def key(self, number: int) -> tuple[object, ...]:
+    def key(self, number: int) -> tuple[tuple[object, ...], ...]:
         """What tells shapes apart: two frames with equal keys show the same."""
         return tuple(self._key(item, number) for item in self._objects)
 
     def read(self, number: int) -> list[Particles]:
         """The particles of each object at a frame, in Blender units.
+
+        Args:
+            number: Frame number; packed frames are interpolated between two.
 
         Raises:
             ShownClayError: if an object has no shape there.
@@ -92,7 +95,10 @@ class ShownClay:
                 for item, spacing in zip(self._objects, self._spacings, strict=True)
             ]
         assert self._cache is not None
-        frame = self._cache.read_frame(self._baked_frame(number), meta=self._meta)
+        wanted = self._baked_frame(number)
+        if wanted not in self.baked:
+            raise ShownClayError(f"Frame {wanted} is missing in the bake. Press Resume.")
+        frame = self._cache.read_frame(wanted, meta=self._meta)
         splits = np.cumsum([part.count for part in self._meta.clay])[:-1]
         held = self._scene.tactile_clay.hold_frames > 1
         velocities = np.zeros_like(frame.velocities) if held else frame.velocities
@@ -162,8 +168,14 @@ def world_spacing(item: bpy.types.Object) -> float:
     return float(spacing * stretch)
 
 
-def particles_surface(parts: Sequence[Particles]) -> tuple[Surface, int, float]:
+def particles_surface(
+    parts: Sequence[Particles], *, moving: bool = False
+) -> tuple[Surface, int, float]:
     """Reconstruct the surface of clay; objects of one spacing that touch become one piece.
+
+    Args:
+        parts: The particles.
+        moving: Whether the surface gets velocities.
 
     Returns:
         The surface, the number of particles, and their volume, in the unit of the positions.
@@ -181,7 +193,7 @@ def particles_surface(parts: Sequence[Particles]) -> tuple[Surface, int, float]:
             np.concatenate([part.positions for part in group]),
             spacing,
             colors=np.concatenate([part.colors for part in group]),
-            velocities=np.concatenate([part.velocities for part in group]),
+            velocities=np.concatenate([part.velocities for part in group]) if moving else None,
         )
         for spacing, group in groups.items()
     ]
