@@ -13,10 +13,10 @@ import bpy
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon import delivery
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.cache import Cache, Frame
 from tactile_clay.clay_addon.delivery import DeliveryError, deliver
+from tactile_clay.clay_addon.delivery_files import FrameWriter
 from tactile_clay.clay_addon.delivery_object import delivered_object, remove_delivery
 from tactile_clay.clay_addon.surface import reconstruct
 
@@ -36,7 +36,7 @@ def moving_bake(studio: Any, folder: Path, *, end: int = 4) -> dict[int, np.ndar
         moved = frame.positions + rng.normal(0, 0.001 * number, frame.positions.shape)
         moved[:, 0] += SPEED / 24 * (number - 1)
         frames[number] = moved.astype(np.float32)
-        velocities = np.tile(np.float32([SPEED, 0, 0]), (len(moved), 1))
+        velocities = np.tile(np.array([SPEED, 0, 0], np.float32), (len(moved), 1))
         cache.write_frame(Frame(number, frames[number], velocities, frame.inputs), meta)
     studio.scene.frame_set(1)
     return frames
@@ -142,7 +142,7 @@ def test_usd_plays_and_renders_with_motion_blur_where_the_addon_is_not(
     assert found["foreign"] == []
     assert found["paths"] == ["//clay_delivery/clay.usda"]
     counts = set()
-    for number in range(0, 7):
+    for number in range(7):
         wanted = expected(frames[min(max(number, 1), 4)])
         got = found["frames"][str(number)]
         assert (got["vertices"], got["faces"]) == (wanted["vertices"], wanted["faces"])
@@ -182,7 +182,7 @@ def test_alembic_plays_where_the_addon_is_not(studio: Any, tmp_path: Path) -> No
     found = read_back(tmp_path)
     assert found["paths"] == ["//clay_delivery/frames/clay_000001.abc"]
     color = studio.scene.objects["Clay"].data.attributes["Color"].data[0].color
-    for number in range(0, 7):
+    for number in range(7):
         wanted = expected(frames[min(max(number, 1), 4)])
         got = found["frames"][str(number)]
         assert (got["vertices"], got["faces"]) == (wanted["vertices"], wanted["faces"])
@@ -216,7 +216,7 @@ def test_unit_scale_is_kept(studio: Any, tmp_path: Path) -> None:
     studio.save(tmp_path)
     deliver(bpy.context, start=1, end=1)
     assert "metersPerUnit = 0.001" in (tmp_path / "clay_delivery" / "clay.usda").read_text()
-    item = delivered_object(studio.scene)
+    item = studio.scene.objects["Clay Delivery"]
     mesh = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     height = max(vertex.co.z for vertex in mesh.vertices)
     assert height == pytest.approx(50, abs=3)
@@ -237,7 +237,7 @@ def test_stopping_and_failing_change_nothing(
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(delivery.FrameWriter, "_export", fail)
+    monkeypatch.setattr(FrameWriter, "_export", fail)
     with pytest.raises(DeliveryError, match="No space left"):
         deliver(bpy.context)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
@@ -249,7 +249,7 @@ def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_pa
     """The same object plays the new files, with a person's modifier and material on it."""
     moving_bake(studio, tmp_path)
     deliver(bpy.context)
-    item = delivered_object(studio.scene)
+    item = studio.scene.objects["Clay Delivery"]
     item.modifiers.new("Mine", "SUBSURF")
     (tmp_path / "clay_delivery" / "frames" / "clay_000001.usdc").unlink()
     result = deliver(bpy.context, end=2)
@@ -277,7 +277,7 @@ def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(DeliveryError, match="other files than a delivery"):
         deliver(bpy.context, directory=tmp_path)
-    with pytest.raises(DeliveryError, match="ends .* before it starts"):
+    with pytest.raises(DeliveryError, match=r"ends .* before it starts"):
         deliver(bpy.context, start=4, end=2, directory=tmp_path / "out")
     with pytest.raises(DeliveryError, match="must be one of usd, abc"):
         deliver(bpy.context, kind="fbx", directory=tmp_path / "out")
@@ -285,7 +285,7 @@ def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
     (tmp_path / "gap").mkdir()
     moving_bake(studio, tmp_path / "gap")
     Cache(tmp_path / "gap" / "clay_cache").frame_path(3).unlink()
-    with pytest.raises(DeliveryError, match="Frame 3 is missing in the bake. Press Resume"):
+    with pytest.raises(DeliveryError, match=r"Frame 3 is missing in the bake\. Press Resume"):
         deliver(bpy.context)
     assert not (tmp_path / "gap" / "clay_delivery").exists()
 
