@@ -178,13 +178,23 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the file to write: .stl, .obj, .ply or .glb",
+        help="the file to write: .stl, .3mf, .obj, .ply or .glb",
     )
     export.add_argument(
         "--unit",
-        choices=("m", "mm"),
-        default="m",
-        help="unit of the numbers in the file (default: m)",
+        choices=("auto", "m", "mm"),
+        default="auto",
+        help="unit of the numbers in the file (default: mm in .stl and .3mf, else m)",
+    )
+    export.add_argument(
+        "--base", type=float, default=0.0, metavar="MM", help="cut so much off for a flat base"
+    )
+    export.add_argument(
+        "--wall",
+        type=float,
+        default=1.0,
+        metavar="MM",
+        help="warn of thinner walls in .stl and .3mf (default: 1)",
     )
 
     deliver = add("deliver", "write the clay over time as USD or Alembic, with a player", _deliver)
@@ -297,13 +307,21 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
             shown = shown_frame(scene)
             if shown is None and arguments.cache is not None:
                 raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
-            table = export_clay(context, arguments.output.absolute(), unit=arguments.unit)
+            table = export_clay(
+                context,
+                arguments.output.absolute(),
+                unit=arguments.unit,
+                base=arguments.base,
+                wall=arguments.wall,
+            )
     except (ExportError, SurfaceError) as error:
         raise _CommandError(str(error)) from error
     if shown is None:
         print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
     elif shown != frame:
         print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+    for warning in (table["print"] or {}).get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
     # Adding zero keeps rounding from writing -0.00.
     volume_error = round(table["volume_error"], 4) + 0.0
     return EXIT_DONE, _text(

@@ -91,7 +91,7 @@ def test_export_of_a_damaged_frame_is_refused(
     assert "Frame 3: frame_000003.npz is damaged" in capfd.readouterr().err
     assert not output.exists()
     assert main(["export", str(blend), "--output", str(tmp_path / "shape.doc")]) == 1
-    assert "Use one of .stl, .obj, .ply, .glb" in capfd.readouterr().err
+    assert "Use one of .stl, .3mf, .obj, .ply, .glb" in capfd.readouterr().err
 
 
 def test_export_of_a_frame_that_is_not_baked_says_what_it_is(
