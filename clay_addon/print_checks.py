@@ -49,8 +49,11 @@ def check_print(surface: Surface, *, wall: float) -> PrintReport:
     size = float(np.ptp(surface.vertices, axis=0).max()) or 1.0
     local = (surface.vertices - center) / size
     tree = BVHTree.FromPolygons(local.tolist(), surface.faces.tolist(), all_triangles=True)
-    pairs = tree.overlap(tree)
-    crossings = len({(min(pair), max(pair)) for pair in pairs})
+    # Neighbours that only touch are among what a tree in single precision finds.
+    pairs = {(min(pair), max(pair)) for pair in tree.overlap(tree)}
+    crossings = _count_crossings(
+        local[surface.faces], np.array(list(pairs), np.int64).reshape(-1, 2)
+    )
     stride = -(-len(local) // LARGEST_RAY_COUNT)
     picked = np.arange(0, len(local), stride)
     walls = np.array(list(_walls(tree, local[picked], surface.normals[picked])))
@@ -112,6 +115,27 @@ def base_area(surface: Surface) -> float:
     return float(np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum() / 2)
 
 
+def _count_crossings(corners: NDArray[np.float64], pairs: NDArray[np.int64]) -> int:
+    """Of pairs of triangles, count those in which an edge of one runs through the other."""
+    crosses = np.zeros(len(pairs), bool)
+    for first, second in ((0, 1), (1, 0)):
+        edges, (a, b, c) = corners[pairs[:, first]], corners[pairs[:, second]].swapaxes(0, 1)
+        for start in range(3):
+            p, q = edges[:, start], edges[:, (start + 1) % 3]
+            sides = np.stack([_volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)])
+            through = (sides > 0).all(axis=0) | (sides < 0).all(axis=0)
+            crosses |= through & (_volume(p, a, b, c) * _volume(q, a, b, c) < 0)
+    return int(crosses.sum())
+
+
+def _volume(*corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Six times the signed volume of tetrahedra; 0 where it is too small to have a sign."""
+    a, b, c, d = corners
+    volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
+    size = np.abs(np.stack([b - a, c - a, d - a])).max(axis=(0, 2))
+    return np.where(np.abs(volume) > 1e-12 * size**3, volume, 0.0)
+
+
 def _walls(
     tree: BVHTree, points: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> Iterator[float]:
@@ -148,8 +172,8 @@ def _cut(
             scene.collection.objects.link(item)
         modifier = items[0].modifiers.new("Base", "BOOLEAN")
         modifier.operation, modifier.object, modifier.solver = "INTERSECT", items[1], solver
-        depsgraph = scene.view_layers[0].depsgraph
-        depsgraph.update()
+        with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
+            depsgraph = bpy.context.evaluated_depsgraph_get()
         evaluated = items[0].evaluated_get(depsgraph)
         result = evaluated.to_mesh()
         result.calc_loop_triangles()

@@ -113,7 +113,7 @@ def test_axes_are_those_of_blenders_exporters(
 def test_colours_are_in_the_formats_own_space(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """3MF, OBJ and PLY hold sRGB, GLB holds linear colours; both ends of the slab are right to 1 %."""
+    """3MF, OBJ and PLY hold sRGB, GLB linear colours; both ends of the slab are right to 1 %."""
     mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
     visual = mesh.visual
     stored = visual.vertex_attributes["color"] if suffix == ".glb" else visual.vertex_colors
