@@ -421,3 +421,43 @@ def test_file_system_that_takes_no_file_is_said(
     monkeypatch.setattr(Path, "unlink", refuse)
     with pytest.raises(ExportError, match="Read-only file system"):
         write_mesh(surface, tmp_path / "clay.stl")
+
+
+MEMORY = """
+import os, resource, sys
+import bpy
+import numpy as np
+from tactile_clay.clay_addon.export import _print_table, write_mesh
+from tactile_clay.clay_addon.surface import reconstruct
+import trimesh
+
+def peak():
+    # In kilobytes, on macOS in bytes.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+side = 21
+points = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) * 0.002
+points += np.random.default_rng(0).normal(0, 0.0002, points.shape)
+colors = np.random.default_rng(1).uniform(0, 1, (len(points), 4)).astype(np.float32)
+reconstruct(points[:100], 0.002, colors=colors[:100])
+before = peak()
+surface = reconstruct(points, 0.002, colors=colors)
+for suffix in (".stl", ".3mf", ".obj", ".ply", ".glb"):
+    write_mesh(surface, os.path.join(sys.argv[-1], "clay" + suffix))
+_print_table(surface, 1.0)
+print(len(points), peak() - before)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
+def test_memory_stays_in_proportion(tmp_path: Path) -> None:
+    """All formats with the checks take less than 5 kB a particle at their peak, colours random."""
+    result = subprocess.run(
+        [sys.executable, "-c", MEMORY, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    count, growth = (int(word) for word in result.stdout.split()[-2:])
+    assert growth / count < 5000

@@ -22,6 +22,7 @@ from .companions import (
     HardCaseResult,
     hard_cases,
     measure_hands,
+    measure_surfaces,
     run_ablation,
     run_hard_case,
     run_touch,
@@ -121,6 +122,8 @@ def main() -> None:
     if not options.quick:
         say("Measuring soft hands, alone ...")
         report.hands = measure_hands()
+        say("Measuring surfaces ...")
+        report.surfaces = measure_surfaces()
         report.ablation = run_ablation(options.output)
         say("Running touch ...")
         report.touch = run_touch(options.output)

@@ -54,6 +54,8 @@ class Report:
     """Lines of the part about soft hands."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
+    surfaces: list[str] = field(default_factory=list)
+    """Lines of the part about surfaces."""
     touch: list[str] = field(default_factory=list)
     """Lines of touch's part."""
     seconds: float = 0.0
@@ -97,6 +99,8 @@ def write_page(report: Report, folder: Path) -> None:
         lines += ["## Soft hands", "", *report.hands, ""]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
+    if report.surfaces:
+        lines += ["## Surfaces", "", *report.surfaces, ""]
     if report.touch:
         lines += ["## Touch", "", *report.touch]
     if report.hard_cases:
