@@ -261,6 +261,8 @@ def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_pa
         "clay_000001.usdc",
         "clay_000002.usdc",
     ]
+    (warning,) = bake(bpy.context).warnings
+    assert "'Clay Delivery' still plays what was delivered before" in warning
     assert remove_delivery(studio.scene)
     assert not studio.scene.objects["Clay"].hide_render
     assert not studio.scene.objects["Clay"].hide_get()
