@@ -25,6 +25,7 @@ from .bake_checks import (
 from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
+from .clay_points import SCULPTED_MARK, write_colors
 from .delivery_object import delivered_object
 from .pack import is_packed
 from .playback import paused, refresh
@@ -205,6 +206,8 @@ def bake_steps(
                     cache.write_meta(meta)
                 else:
                     cache.begin(meta, simulation.colors)
+                    for item in clay_objects(scene):
+                        item.data.pop(SCULPTED_MARK, None)
                 missing = [frame for frame in range(start, end + 1) if frame not in known]
                 if missing:
                     frames = _simulate(simulation, device, cache, meta, known, missing, tally)
@@ -214,6 +217,8 @@ def bake_steps(
                                 cancelled = True
                                 break
                     tally.warnings += simulation.warnings()
+                    if simulation.edited is not None:
+                        _keep_colors(scene, simulation, cache)
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except SimulationError as error:
             raise BakeError(str(error)) from error
@@ -245,6 +250,17 @@ def bake_steps(
         quarantined=tally.quarantined,
         warnings=(*tally.warnings, *_warnings(scene, tally)),
     )
+
+
+def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
+    """Give the clay the colours it has at the end: a bake has one for each particle."""
+    assert simulation.edited is not None
+    cache.write_colors(simulation.edited.colors)
+    first = 0
+    for part in simulation.parts:
+        rows = simulation.edited.colors[first : first + part.count]
+        write_colors(scene.objects[part.name], rows)
+        first += part.count
 
 
 def _make_meta(
@@ -298,9 +314,7 @@ def _simulate(
     try:
         for number in range(at + 1, last + 1):
             began = time.perf_counter()
-            scene.frame_set(number)
-            inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
-            simulation.step()
+            inputs = simulation.reach(number, steps=True)
             # Before the frame itself, which counts as done once it is there.
             felt.after(number, record=number not in known)
             if number not in known:

@@ -44,7 +44,10 @@ class BakeTouch:
         self.warnings: list[str] = []
         """What the user should know of it."""
         self._on = bool(simulation.hands) and self._has_array()
-        self._weights = self._find_weights() if self._on else []
+        self._weights: list[NDArray | None] = []
+        if self._on:
+            self._weights, warnings = ghost_weights(simulation)
+            self.warnings += warnings
 
     def after(self, number: int, *, record: bool) -> None:
         """A frame is simulated: let it be felt, and record it.
@@ -91,21 +94,26 @@ class BakeTouch:
         self._on = False
         self.warnings.append(f"No touch was recorded with the bake{when}: {error}")
 
-    def _find_weights(self) -> list[NDArray | None]:
-        from ..haptics.skin_sensitivity import SkinSensitivity
 
-        if not self._simulation.scene.tactile_touch.use_weights:
-            return []
-        found: list[NDArray | None] = []
-        for hand in self._simulation.hands:
-            try:
-                weights = SkinSensitivity.of(hand.rig).ghosts
-            except ValueError as error:
-                self.warnings.append(
-                    f"All skin of {hand.item.name!r} counts the same for touch: {error}"
-                )
-                found.append(None)
-                continue
-            # Ghosts inside the hand feel nothing.
-            found.append(weights[hand.rig.ghost_areas > 0.0])
-        return found
+def ghost_weights(simulation: Simulation) -> tuple[list[NDArray | None], list[str]]:
+    """How much touch counts on each ghost of each hand, by the scene's setting.
+
+    Returns:
+        Perceptual weights of each hand's ghosts, and what the user should know of them.
+    """
+    from ..haptics.skin_sensitivity import SkinSensitivity
+
+    found: list[NDArray | None] = []
+    warnings: list[str] = []
+    if not simulation.scene.tactile_touch.use_weights:
+        return found, warnings
+    for hand in simulation.hands:
+        try:
+            weights = SkinSensitivity.of(hand.rig).ghosts
+        except ValueError as error:
+            warnings.append(f"All skin of {hand.item.name!r} counts the same for touch: {error}")
+            found.append(None)
+            continue
+        # Ghosts inside the hand feel nothing.
+        found.append(weights[hand.rig.ghost_areas > 0.0])
+    return found, warnings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: bake, deliver, export and look into .blend files, track hands; no interface.
+"""The command line: bake, render, deliver, export and look into .blend files, and track hands.
 
 The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
 ``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
@@ -168,6 +168,26 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         "--save", action="store_true", help="store --frames and --cache in the .blend, for playback"
     )
 
+    bake.add_argument(
+        "--again",
+        action="store_true",
+        help="bake the recorded take of the scene with finer clay, in a scene of its own, and save "
+        "that in the .blend; with --resume go on with it",
+    )
+    bake.add_argument(
+        "--spacing",
+        metavar="MM",
+        type=_positive,
+        help="with --again: distance between particles in millimetres (default: half the live one)",
+    )
+    bake.add_argument(
+        "--substeps",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --again: solver steps in each sixtieth of a second (default: the solver's own)",
+    )
+
     export = add("export", "write the clay at a frame as one watertight mesh", _export)
     add_file_options(export)
     export.add_argument(
@@ -218,6 +238,21 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         help="play the files in place of the clay, and store that in the .blend",
     )
 
+    render = add("render", "render baked frames, each whole or not at all", _render)
+    add_file_options(render)
+    render.add_argument(
+        "--frames",
+        metavar="LIST",
+        type=_frame_list,
+        help="frames to render, as 1-120 or 1-10,15,20 (default: the scene's range)",
+    )
+    render.add_argument(
+        "--output",
+        metavar="PATH",
+        help="path of the pictures, as pictures/frame_#### (default: the scene's)",
+    )
+    render.add_argument("--resume", action="store_true", help="keep the pictures that are there")
+
     info = add("info", "tell what clay a file holds and what is baked", _info)
     add_file_options(info)
 
@@ -226,12 +261,20 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
 
         server = add("array-server", "drive an ultrasound array with focal points", _array_server)
         add_server_arguments(server)
-        demo = add("demo", "make and render the kindergarten scene", _demo)
-        demo.add_argument(
-            "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
-        )
+
+    demo = add("demo", "make and render the kindergarten scene", _demo)
+    demo.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
+    )
     add_track(commands, carry_out=_track)
     return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+    return value
 
 
 def _frame_range(text: str) -> tuple[int, int]:
@@ -246,14 +289,30 @@ def _frame_range(text: str) -> tuple[int, int]:
     raise argparse.ArgumentTypeError(f"{text!r} is not a range such as 1-120")
 
 
+def _frame_list(text: str) -> list[int]:
+    """Frame numbers from ``1-10,15``, sorted, each once."""
+    frames: set[int] = set()
+    for part in text.split(","):
+        try:
+            frames.add(int(part))
+        except ValueError:
+            start, end = _frame_range(part.strip())
+            frames.update(range(start, end + 1))
+    return sorted(frames)
+
+
 # The commands ----------------------------------------------------------------------------------
 
 
 def _bake(arguments: argparse.Namespace) -> _Outcome:
+    if not arguments.again and (arguments.spacing or arguments.substeps):
+        raise _CommandError("--spacing and --substeps go with --again.", EXIT_USAGE)
     context, scene = _open(arguments)
     from .bake import BakeError, BakeStaleError, bake
     from .cache import CacheError
 
+    if arguments.again:
+        scene = _film(context, scene, arguments)
     start, end = arguments.frames or (None, None)
     line = _ProgressLine(sys.stderr)
     try:
@@ -274,7 +333,7 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         raise _CommandError(str(error)) from error
     finally:
         line.end()
-    if arguments.save:
+    if arguments.save or arguments.again:
         _save(scene, arguments)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -287,6 +346,28 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         f"Frames {result.start} to {result.end}: {result.baked} baked, {result.kept} kept{pace} "
         f"({result.particle_count:,} particles on {result.device}).\nCache: {result.directory}",
     )
+
+
+def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
+    """The scene in which a scene's take is baked again."""
+    import bpy
+
+    from .sculpt.film import FilmError, make_film
+
+    source = scene.tactile_clay.film_of or scene
+    known = [each for each in bpy.data.scenes if each.tactile_clay.film_of == source]
+    if arguments.resume and known:
+        film = known[0]
+    else:
+        scale = scene.unit_settings.scale_length
+        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        try:
+            film = make_film(context, spacing=spacing, substeps=arguments.substeps)
+        except FilmError as error:
+            raise _CommandError(str(error)) from error
+    if context.window is not None:
+        context.window.scene = film
+    return film
 
 
 def _export(arguments: argparse.Namespace) -> _Outcome:
@@ -372,6 +453,40 @@ def _deliver(arguments: argparse.Namespace) -> _Outcome:
     )
 
 
+def _render(arguments: argparse.Namespace) -> _Outcome:
+    context, scene = _open(arguments)
+    from .render_frames import FrameNotBakedError, RenderError, RenderProgress, render_frames
+
+    def tell(progress: RenderProgress) -> None:
+        # The words in which Blender itself tells it, from which schedulers read what there is.
+        print(f"Saved: '{progress.path}'", file=sys.stderr, flush=True)
+
+    if arguments.cache is not None:
+        scene.tactile_clay.cache_directory = _absolute(arguments.cache)
+    frames = arguments.frames
+    if frames is None:
+        frames = list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    try:
+        with context.temp_override(scene=scene):
+            result = render_frames(
+                context,
+                frames,
+                output=_absolute(arguments.output),
+                resume=arguments.resume,
+                progress=tell,
+            )
+    except FrameNotBakedError as error:
+        raise _CommandError(str(error), EXIT_STALE) from error
+    except RenderError as error:
+        raise _CommandError(str(error)) from error
+    return EXIT_DONE, _text(
+        arguments,
+        asdict(result),
+        f"{result.rendered} frames rendered, {result.kept} kept.\n"
+        f"Pictures: {result.files[0].parent}",
+    )
+
+
 def _info(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from .status import describe, inspect
@@ -450,11 +565,11 @@ def _open(arguments: argparse.Namespace) -> tuple[Any, Any]:
     return context, scene
 
 
-def _absolute(cache: str | None) -> str | None:
-    """A folder given in the shell is relative to the shell; ``//`` to the .blend."""
-    if cache is None or cache.startswith("//"):
-        return cache
-    return str(Path(cache).absolute())
+def _absolute(path: str | None) -> str | None:
+    """A path given in the shell is relative to the shell; ``//`` to the .blend."""
+    if path is None or path.startswith("//"):
+        return path
+    return str(Path(path).absolute())
 
 
 def _save(scene: Any, arguments: argparse.Namespace) -> None:

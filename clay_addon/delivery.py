@@ -168,6 +168,12 @@ def deliver_steps(
     try:
         shown = ShownClay(scene, clay, cache_of(scene))
         first, last = _range(scene, shown, start, end)
+        own = ("own",)
+        if shown.sculpted and any(own in shown.key(n) for n in range(first, last + 1)):
+            raise DeliveryError(
+                "The clay was sculpted since it was baked, so it does not play that bake. Bake "
+                "again, undo, or Free the bake to deliver what was sculpted."
+            )
         with _partial_folder(target) as folder:
             shapes = yield from _write_frames(
                 scene, shown, folder, kind, first, last, points, tally

@@ -8,18 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from .delivery_files import COLOR_ATTRIBUTE as FILE_COLOR
 from .delivery_files import FRAMES_FOLDER, POINTS_PATH, ROOT_NAME
-from .fcurves import write_keys
-from .look import (
-    COLOR_ATTRIBUTE,
-    SPACING_ATTRIBUTE,
-    TEXTURE_ATTRIBUTE,
-    clay_material,
-    set_input,
-)
+from .keyed_channels import CONSTANT, Channel, write_channels
+from .look import clay_material, set_input
 from .shown_clay import world_spacing
+from .surface_mesh import COLOR_ATTRIBUTE, SPACING_ATTRIBUTE, TEXTURE_ATTRIBUTE
 
 OBJECT_NAME = "Clay Delivery"
 POINTS_NAME = "Clay Delivery Points"
@@ -180,7 +176,8 @@ def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]) -
     cache_file.is_sequence = True
     cache_file.override_frame = True
     numbers = [int(shapes[frame].rpartition("_")[2].partition(".")[0]) for frame in shapes]
-    write_keys(cache_file, {"frame": numbers}, list(shapes), interpolation="CONSTANT")
+    channel = Channel("frame", 0, np.array(list(shapes)), np.array(numbers), CONSTANT)
+    write_channels(cache_file, cache_file.name, [channel])
 
 
 def _finish_group() -> bpy.types.NodeTree:

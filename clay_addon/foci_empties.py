@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .cache import Cache, CacheError
 from .cache_foci import FociFrame, read_foci
-from .fcurves import write_keys
+from .keyed_channels import CONSTANT, LINEAR, Channel, write_channels
 from .playback import cache_of
 
 COLLECTION_NAME = "Clay Focal Points"
@@ -142,21 +142,17 @@ def _make_empty(
     pressures = tracks.pressures[:, index]
     absent = pressures <= 0
     scale = np.where(absent, 0.0, pressures / tracks.pressures.max())
-    write_keys(
-        empty,
-        {
-            "location": tracks.positions[:, index],
-            "scale": np.repeat(scale[:, None], 3, axis=1),
-            f'["{PRESSURE_PROPERTY}"]': pressures,
-        },
-        tracks.frames,
-    )
-    write_keys(
-        empty,
-        {"hide_viewport": absent, "hide_render": absent},
-        tracks.frames,
-        interpolation="CONSTANT",
-    )
+    channels = [
+        Channel(path, number, tracks.frames, values, kind)
+        for path, number, values, kind in (
+            *(("location", axis, tracks.positions[:, index, axis], LINEAR) for axis in range(3)),
+            *(("scale", axis, scale, LINEAR) for axis in range(3)),
+            (f'["{PRESSURE_PROPERTY}"]', 0, pressures, LINEAR),
+            ("hide_viewport", 0, absent, CONSTANT),
+            ("hide_render", 0, absent, CONSTANT),
+        )
+    ]
+    write_channels(empty, empty.name, channels)
     return empty
 
 

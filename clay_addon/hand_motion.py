@@ -41,13 +41,22 @@ class MovingHand:
     Args:
         context: Where the hand is.
         item: Its mesh object.
+        hold_stiffness: How stiffly it holds its pose against the clay [N/m]; None where the clay
+            cannot move it.
 
     Raises:
         HandError: It is not bound, or changed since; the message names it and says what to do.
     """
 
-    def __init__(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        item: bpy.types.Object,
+        *,
+        hold_stiffness: float | None = None,
+    ) -> None:
         self.item = item
+        self.hold_stiffness = hold_stiffness
         self.rig = read_hand_rig(context, item)
         # A custom property that is new does not reach the evaluated armature by itself.
         hand_armature(item).update_tag()
@@ -58,7 +67,9 @@ class MovingHand:
 
     def digest_parts(self) -> tuple[object, ...]:
         """What decides how the hand works the clay, apart from its motion."""
-        return (self.friction, *(np.asarray(part) for part in self.rig.to_arrays().values()))
+        gives_way = () if self.hold_stiffness is None else (self.hold_stiffness,)
+        rig = (np.asarray(part) for part in self.rig.to_arrays().values())
+        return (self.friction, *gives_way, *rig)
 
     def check(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Refuse a hand that Blender does not evaluate.
@@ -77,7 +88,9 @@ class MovingHand:
             HandError: Its pose is not one to start from.
             ValueError: The solver refuses the hand.
         """
-        handle = scene.add_hand(self.rig, friction=self.friction)
+        handle = scene.add_hand(
+            self.rig, friction=self.friction, hold_stiffness=self.hold_stiffness
+        )
         bones = self._bones(hand_bone_matrices(self.item, depsgraph))
         try:
             handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))

@@ -12,29 +12,31 @@ import bpy
 import numpy as np
 
 from .surface import Surface
+from .surface_mesh import (
+    COLOR_ATTRIBUTE,
+    SPACING_ATTRIBUTE,
+    TEXTURE_ATTRIBUTE,
+    fill_surface_mesh,
+)
 
 MATERIAL_NAME = "Clay"
 NODE_GROUP_NAME = "Clay Surface"
 MODIFIER_NAME = "Clay Surface"
-COLOR_ATTRIBUTE = "Color"
-"""Not "color": Cycles reads an attribute of that name as black."""
-TEXTURE_ATTRIBUTE = "clay_texture"
-"""Positions in units of the particle distance: the grain of the clay is as fine as its detail."""
 _MARK = "tactile_clay_look"
 """Custom property of what this module made, so that a user's own data of that name stays."""
-_VERSION = 1
-SPACING_ATTRIBUTE = "clay_spacing"
-"""The particle distance [Blender units]: the depth of the grain goes with it."""
+_VERSION = 2
 
 # The surface of the node group, in units of the particle distance; measured so that a block comes
 # out with flat faces at the right place (see tests/clay_addon/test_look.py).
-_BALL_RADIUS = 1.1
+_BALL_RADIUS = 1.3
 _VOXEL_SIZE = 0.5
 _THRESHOLD = 0.3
-_OFFSET = -0.33
-_CRUMB_OFFSET = -0.25
-_CRUMB_VERTICES = (150.0, 450.0)
+_OFFSET = -0.62
+_CRUMB_OFFSET = -0.45
+_CRUMB_VERTICES = (210.0, 630.0)
 _SMOOTHING = 20
+_NORMAL_SMOOTHING = 8
+_COLOR_SMOOTHING = 2
 _VIEWPORT_LIMIT = 20_000
 
 
@@ -144,28 +146,12 @@ def surface_object(
         spacing: Distance between particles [Blender units], for the grain of the material; told
             from the mesh where not given.
     """
-    vertices = np.ascontiguousarray(surface.vertices, dtype=np.float32)
     mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(len(vertices))
-    mesh.loops.add(surface.faces.size)
-    mesh.polygons.add(len(surface.faces))
-    mesh.attributes["position"].data.foreach_set("vector", vertices.ravel())
-    mesh.loops.foreach_set("vertex_index", surface.faces.astype(np.int32).ravel())
-    mesh.polygons.foreach_set("loop_start", np.arange(0, surface.faces.size, 3, dtype=np.int32))
-    mesh.update(calc_edges=True)
     if spacing is None:
         sides = surface.vertices[surface.faces[:, 0]] - surface.vertices[surface.faces[:, 1]]
         # The median edge of the reconstruction is 0.41 spacings.
         spacing = float(np.median(np.linalg.norm(sides, axis=1))) / 0.41
-    place = mesh.attributes.new(TEXTURE_ATTRIBUTE, "FLOAT_VECTOR", "POINT")
-    place.data.foreach_set("vector", (vertices / np.float32(spacing)).ravel())
-    size = mesh.attributes.new(SPACING_ATTRIBUTE, "FLOAT", "POINT")
-    size.data.foreach_set("value", np.full(len(vertices), spacing, np.float32))
-    if surface.colors is not None:
-        layer = mesh.attributes.new(COLOR_ATTRIBUTE, "FLOAT_COLOR", "POINT")
-        layer.data.foreach_set("color", np.ascontiguousarray(surface.colors, np.float32).ravel())
-        mesh.attributes.active_color = layer
-    mesh.shade_smooth()
+    fill_surface_mesh(mesh, surface.vertices, surface.faces, spacing=spacing, colors=surface.colors)
     mesh.materials.append(clay_material())
     return bpy.data.objects.new(name, mesh)
 
@@ -295,9 +281,16 @@ def _surface_group() -> bpy.types.NodeTree:
     # The balls are larger than the particles so that no gap shows between them; this takes the
     # difference back.
     normal = _add(tree, "GeometryNodeInputNormal", (-900, -200))
+    # Where particles left a groove, normals of their own would make the sides cross.
+    even = _add(tree, "GeometryNodeBlurAttribute", (-800, -100), Iterations=_NORMAL_SMOOTHING)
+    even.data_type = "FLOAT_VECTOR"
+    link(normal.outputs[0], next(item for item in even.inputs if item.enabled))
+    outward = _add(tree, "ShaderNodeVectorMath", (-750, -200))
+    outward.operation = "NORMALIZE"
+    link(even.outputs[0], outward.inputs[0])
     inward = _add(tree, "ShaderNodeVectorMath", (-700, -200))
     inward.operation = "SCALE"
-    link(normal.outputs[0], inward.inputs[0])
+    link(outward.outputs[0], inward.inputs[0])
     depth = _add(tree, "ShaderNodeMapRange", (-700, -350))
     link(body.outputs[0], depth.inputs[0])
     link(lengths(_CRUMB_OFFSET, (-900, -350)), depth.inputs[3])
@@ -341,7 +334,11 @@ def _surface_group() -> bpy.types.NodeTree:
     colored.data_type = "FLOAT_COLOR"
     colored.domain = "POINT"
     link(smoothed.outputs[0], colored.inputs["Geometry"])
-    link(sample.outputs[0], colored.inputs["Value"])
+    # The nearest particle's colour alone would leave borders jagged.
+    mixed = _add(tree, "GeometryNodeBlurAttribute", (-300, -700), Iterations=_COLOR_SMOOTHING)
+    mixed.data_type = "FLOAT_COLOR"
+    link(sample.outputs[0], next(item for item in mixed.inputs if item.enabled))
+    link(mixed.outputs[0], colored.inputs["Value"])
 
     unit = _add(tree, "ShaderNodeVectorMath", (-300, -550))
     unit.operation = "DIVIDE"

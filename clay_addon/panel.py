@@ -16,6 +16,7 @@ from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
 from .simulation import SimulationError, clay_objects, collider_objects, scene_digests
+from .user_materials import user_materials
 
 _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
@@ -48,6 +49,8 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         column.prop(scene.tactile_clay, "spacing")
         column.prop(scene.tactile_clay, "material_preset")
         column.operator("clay.make", icon="META_BALL")
+        for problem in user_materials().problems:
+            draw_text(layout.box(), problem, icon="ERROR")
         # Convert turns clay into a mesh and leaves its role.
         if item is None or item.tactile_clay.role != "CLAY" or item.type != "POINTCLOUD":
             if not clay_objects(scene):
@@ -61,8 +64,10 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
             if scene.unit_settings.scale_length == 1.0
             else f"{len(item.data.points):,} particles"
         )
-        column = box.column()
-        column.prop(clay, "material_preset")
+        row = box.row(align=True)
+        row.prop(clay, "material_preset")
+        row.operator("clay.material_save", text="", icon="ADD")
+        row.operator("clay.material_remove", text="", icon="REMOVE")
         column = box.column(align=True)
         # Inside the sliders there is room for the units.
         column.use_property_split = False
@@ -96,6 +101,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box = layout.box()
             box.label(text=item.name)
             box.prop(item.tactile_clay, "collider_kind")
+            box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
 
 
@@ -214,7 +220,10 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
         )
         try:
             # Colliders are not looked at: evaluating them takes too long for a panel.
-            changed = changed_subjects(cache.meta(), scene_digests(scene))
+            meta = cache.meta()
+            if meta.is_take:
+                state = f"A recorded take of {len(frames)} frames, {size_text(cache.size())}."
+            changed = changed_subjects(meta, scene_digests(scene))
             if changed:
                 warning = (
                     f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."

@@ -10,18 +10,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from numpy.typing import NDArray
 
 from .bake_checks import BakeError, resolve_directory
 from .cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
+from .clay_points import BAKED_MARK, is_sculpted, write_points
 from .mesh_geometry import local_from_world, transform
 from .pack import is_packed
 from .properties import held_frame
 from .simulation import SimulationError, clay_digest, clay_objects, read_points
 
-_BAKED_MARK = "clay_baked"
-"""Custom property of points that are in a baked frame. It stands beside them, not on the object,
-so that Undo brings back both or neither."""
 _messages: dict[str, str] = {}
 _metas: dict[Path, tuple[int, Meta]] = {}
 _pauses = 0
@@ -86,11 +83,11 @@ def show_rest(scene: bpy.types.Scene) -> None:
         if rest is None:
             continue
         shown = read_points(item, "position")
-        if _BAKED_MARK in item.data or shown is None or not np.isfinite(shown).all():
-            _write(item, rest)
-            item.data.pop(_BAKED_MARK, None)
+        if BAKED_MARK in item.data or shown is None or not np.isfinite(shown).all():
+            write_points(item, rest)
+            item.data.pop(BAKED_MARK, None)
         elif not np.array_equal(shown, rest):
-            _write(item, shown, "rest_position")
+            write_points(item, shown, "rest_position")
 
 
 @contextmanager
@@ -110,6 +107,9 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
     if cache is None or not frames:
         show_rest(scene)
         return
+    if any(is_sculpted(item) for item in clay):
+        show_rest(scene)
+        raise CacheError("the clay was sculpted since it was baked. Bake again, or undo")
     try:
         meta = _meta(cache)
     except CacheError as error:
@@ -131,9 +131,9 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
     first = 0
     for item, matrix in zip(clay, inverse, strict=True):
         count = len(item.data.points)
-        _write(item, transform(matrix, positions[first : first + count]))
-        if _BAKED_MARK not in item.data:
-            item.data[_BAKED_MARK] = True
+        write_points(item, transform(matrix, positions[first : first + count]))
+        if BAKED_MARK not in item.data:
+            item.data[BAKED_MARK] = True
         first += count
 
 
@@ -164,14 +164,6 @@ def _meta(cache: Cache) -> Meta:
     if known is None or known[0] != stamp:
         known = _metas[cache.directory] = (stamp, cache.meta())
     return known[1]
-
-
-def _write(
-    item: bpy.types.Object, local: NDArray[np.floating], attribute: str = "position"
-) -> None:
-    values = np.ascontiguousarray(local, np.float32).ravel()
-    item.data.attributes[attribute].data.foreach_set("vector", values)
-    item.data.update_tag()
 
 
 @persistent

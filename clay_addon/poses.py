@@ -10,14 +10,12 @@ others. All of it is stock nodes, so it plays and renders where the add-on is no
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .fcurves import find_curve
+from .clay_points import BAKED_MARK, SCULPTED_MARK
+from .keyed_channels import find_curve
 from .look import get_input, input_path, set_input
 from .pack import FRAME_ATTRIBUTE, is_packed
 from .pack import MODIFIER_NAME as PLAYBACK_MODIFIER
@@ -36,7 +34,16 @@ class PoseError(ValueError):
 
 def has_poses(clay: bpy.types.Object) -> bool:
     """Whether an object has keyed shapes."""
-    return _modifier(clay) is not None
+    return pose_modifier(clay) is not None
+
+
+def pose_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
+    """The modifier that shows an object's keyed shapes; None where it has none."""
+    for modifier in clay.modifiers:
+        group = modifier.node_group if modifier.type == "NODES" else None
+        if group is not None and group.get(_MARK) == _VERSION:
+            return modifier
+    return None
 
 
 def pose_at(clay: bpy.types.Object, frame: float) -> bpy.types.Object | None:
@@ -46,7 +53,7 @@ def pose_at(clay: bpy.types.Object, frame: float) -> bpy.types.Object | None:
         clay: Point cloud object.
         frame: Frame number.
     """
-    modifier = _modifier(clay)
+    modifier = pose_modifier(clay)
     if modifier is None:
         return None
     curve = find_curve(clay, input_path(modifier, _INPUT))
@@ -56,7 +63,7 @@ def pose_at(clay: bpy.types.Object, frame: float) -> bpy.types.Object | None:
 
 def pose_frames(clay: bpy.types.Object) -> list[int]:
     """Frames at which an object has a key of its shape, sorted."""
-    modifier = _modifier(clay)
+    modifier = pose_modifier(clay)
     curve = find_curve(clay, input_path(modifier, _INPUT)) if modifier else None
     return sorted({round(key.co.x) for key in curve.keyframe_points}) if curve else []
 
@@ -85,8 +92,8 @@ def key_pose(
     data.name = f"{clay.name} pose"
     for name in [item.name for item in data.attributes if item.name.startswith(FRAME_ATTRIBUTE)]:
         data.attributes.remove(data.attributes[name])
-    # The mark of points that a bake has moved.
-    data.pop("clay_baked", None)
+    for mark in (BAKED_MARK, SCULPTED_MARK):
+        data.pop(mark, None)
     values = np.ascontiguousarray(positions, np.float32).ravel()
     for name in ("position", "rest_position"):
         layer = data.attributes.get(name) or data.attributes.new(name, "FLOAT_VECTOR", "POINT")
@@ -133,7 +140,7 @@ def remove_key(clay: bpy.types.Object, *, frame: int) -> bool:
 
 def remove_poses(clay: bpy.types.Object) -> None:
     """Take all keyed shapes out of an object; it shows itself again."""
-    modifier = _modifier(clay)
+    modifier = pose_modifier(clay)
     if modifier is None:
         return
     group = modifier.node_group
@@ -173,21 +180,6 @@ def take_pose(clay: bpy.types.Object, *, frame: int) -> bool:
     return True
 
 
-@contextmanager
-def live_shape(clay: bpy.types.Object) -> Iterator[None]:
-    """Show the clay itself in the viewport, not what is keyed, while it is sculpted."""
-    modifier = _modifier(clay)
-    shown = modifier.show_viewport if modifier else False
-    if modifier:
-        modifier.show_viewport = False
-    try:
-        yield
-    finally:
-        modifier = _modifier(clay)
-        if modifier:
-            modifier.show_viewport = shown
-
-
 # Inside -----------------------------------------------------------------------------------------
 
 
@@ -212,17 +204,9 @@ def _check(clay: bpy.types.Object, positions: NDArray[np.float32]) -> None:
         )
 
 
-def _modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
-    for modifier in clay.modifiers:
-        group = modifier.node_group if modifier.type == "NODES" else None
-        if group is not None and group.get(_MARK) == _VERSION:
-            return modifier
-    return None
-
-
 def _own_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
     """The modifier, with a node group that no duplicate of the object shares."""
-    modifier = _modifier(clay)
+    modifier = pose_modifier(clay)
     if modifier is not None and modifier.node_group.users > 1:
         modifier.node_group = modifier.node_group.copy()
     return modifier
@@ -263,7 +247,7 @@ def _add_pose(group: bpy.types.NodeTree, pose: bpy.types.Object) -> int:
 
 def _drop_unused(clay: bpy.types.Object) -> None:
     """Delete the shapes that no key shows any more."""
-    modifier = _modifier(clay)
+    modifier = pose_modifier(clay)
     curve = find_curve(clay, input_path(modifier, _INPUT)) if modifier else None
     if modifier is None or curve is None:
         return

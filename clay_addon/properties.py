@@ -1,44 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
-import zlib
 from typing import Any
 
 import bpy
 
-from ..solver.material import Material
-
-CUSTOM = "CUSTOM"
-
-_MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
-
-
-def _preset_items() -> list[tuple[str, str, str, str, int]]:
-    # A .blend keeps the number, so it must stay the same when presets come and go.
-    items = [(CUSTOM, "Custom", "Values of your own", "NONE", 0)]
-    for name in Material.preset_names():
-        label = name.replace("_", " ").capitalize()
-        material = Material.preset(name)
-        description = f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
-        items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
-    return items
-
-
-PRESET_ITEMS = _preset_items()
-PRESET_DEFAULT = "plasticine"
-
+from .material_presets import (
+    CUSTOM,
+    MISSING,
+    PRESET_DEFAULT_NUMBER,
+    find_material,
+    object_items,
+    scene_items,
+)
+from .user_materials import MATERIAL_VALUES
 
 _filling = False
 
 
 def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
     global _filling
-    if properties.material_preset == CUSTOM:
+    name = properties.material_preset
+    if name == CUSTOM or name.startswith(MISSING):
         return
-    material = Material.preset(properties.material_preset)
+    material = find_material(name)
     _filling = True
     try:
-        for name in _MATERIAL_VALUES:
+        for name in MATERIAL_VALUES:
             setattr(properties, name, getattr(material, name))
     finally:
         _filling = False
@@ -53,6 +41,11 @@ def _show_held(properties: Any, context: bpy.types.Context) -> None:
     from .playback import refresh
 
     refresh(properties.id_data)
+
+
+def _tag_object(properties: Any, context: bpy.types.Context) -> None:
+    # Values of add-ons do not reach the evaluated object by themselves.
+    properties.id_data.update_tag()
 
 
 def _get_spacing(properties: Any) -> float:
@@ -86,8 +79,8 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What the clay is made of; choosing one fills in the values below",
-        items=PRESET_ITEMS,
-        default=PRESET_DEFAULT,
+        items=object_items,
+        default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
     )
     density: bpy.props.FloatProperty(
@@ -142,6 +135,11 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     sources: bpy.props.CollectionProperty(
         name="Sources", description="The meshes the clay was made from", type=ClaySource
     )
+    take_start: bpy.props.PointerProperty(
+        name="Take Start",
+        description="The clay that the last take began with",
+        type=bpy.types.Mesh,
+    )
     collider_kind: bpy.props.EnumProperty(
         name="Shape",
         description="How the clay meets this object",
@@ -151,6 +149,12 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
             ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
         ),
         default="AUTO",
+    )
+    collider_enabled: bpy.props.BoolProperty(
+        name="Touches Clay",
+        description="Whether the clay feels this object; keyframes can lift a tool off and set it",
+        default=True,
+        update=_tag_object,
     )
     collider_friction: bpy.props.FloatProperty(
         name="Friction",
@@ -182,8 +186,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What new clay is made of",
-        items=[item for item in PRESET_ITEMS if item[0] != CUSTOM],
-        default=PRESET_DEFAULT,
+        items=scene_items,
+        default=PRESET_DEFAULT_NUMBER,
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
@@ -191,6 +195,33 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         default=0,
         min=0,
         max=4096,
+    )
+    motion_samples: bpy.props.IntProperty(
+        name="Motion Samples",
+        description=(
+            "How often in each frame a bake looks where hands and colliders are: more follows what "
+            "turns back between two frames, and recorded takes"
+        ),
+        default=1,
+        min=1,
+        max=64,
+    )
+    hands_give_way: bpy.props.BoolProperty(
+        name="Hands Give Way",
+        description="Stiff clay stops hands in a bake as it does live; off, they go where keyed",
+        default=False,
+    )
+    record_take: bpy.props.BoolProperty(
+        name="Record Take",
+        description="Record what hands, tools and clay do while you sculpt, for the timeline",
+        default=False,
+    )
+    take_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_of: bpy.props.PointerProperty(
+        name="Film of",
+        description="The scene whose take this one bakes again",
+        type=bpy.types.Scene,
     )
     cache_directory: bpy.props.StringProperty(
         name="Cache",

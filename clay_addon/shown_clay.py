@@ -5,12 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from .cache import Cache, Meta
+from .clay_points import is_sculpted, present_rows
 from .mesh_geometry import transform
 from .pack import is_packed, packed_positions
 from .playback import is_bake_of
@@ -70,10 +72,14 @@ class ShownClay:
         self._meta: Meta | None = None
         self.baked: list[int] = []
         """Numbers of the baked frames, sorted; none where the clay plays no bake."""
+        self.sculpted = False
+        """Whether the clay was sculpted since it was baked, so that it does not play that."""
         if cache is not None and cache.exists() and not all(is_packed(item) for item in objects):
             meta = cache.meta()
             if is_bake_of(meta, self._objects):
-                self._meta, self.baked = meta, cache.frames()
+                self.sculpted = any(is_sculpted(item) for item in objects)
+                if not self.sculpted:
+                    self._meta, self.baked = meta, cache.frames()
 
     def key(self, number: int) -> tuple[tuple[object, ...], ...]:
         """What tells shapes apart: two frames with equal keys show the same."""
@@ -103,7 +109,7 @@ class ShownClay:
         held = self._scene.tactile_clay.hold_frames > 1
         velocities = np.zeros_like(frame.velocities) if held else frame.velocities
         return [
-            Particles(positions.astype(np.float64), clay_colors(item), motion, spacing)
+            _present(item, positions, motion, spacing, np.eye(4))
             if self._is_baked(item, number)
             else self._read_own(item, spacing, number)
             for item, spacing, positions, motion in zip(
@@ -139,12 +145,22 @@ class ShownClay:
             local = read_points(pose or item, "position")
         if local is None or len(local) == 0:
             raise ShownClayError(f"{item.name!r} has no particles.")
-        return Particles(
-            transform(item.matrix_world, local),
-            clay_colors(pose or item),
-            np.zeros((len(local), 3), np.float32),
-            spacing,
-        )
+        still = np.zeros((len(local), 3), np.float32)
+        return _present(pose or item, local, still, spacing, item.matrix_world)
+
+
+def _present(
+    held: bpy.types.Object,
+    positions: NDArray[np.float32],
+    velocities: NDArray[np.float32],
+    spacing: float,
+    matrix: Any,
+) -> Particles:
+    """Those of a clay object's particles that are there."""
+    there = present_rows(held, positions)
+    return Particles(
+        transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
+    )
 
 
 def world_spacing(item: bpy.types.Object) -> float:

@@ -20,7 +20,7 @@ from ..solver.material import Material
 from ..solver.polar import rotation_and_stretch
 from ..solver.settings import Settings
 from .cache import ClaySlice
-from .collider import ColliderError, resolve_kind
+from .collider import TAKE_TOOL, ColliderError, resolve_kind
 from .hand import hand_objects
 from .hand_motion import HandState, MovingHand
 from .hand_reading import HandError
@@ -35,11 +35,18 @@ from .mesh_geometry import (
 from .preferences import device_choice, missing_parts
 
 if TYPE_CHECKING:
-    from ..solver import MeshCollider, Solver
+    from ..solver import MeshCollider, Scene, Solver
+    from .sculpt.film_edits import EditedClay
 
 
 _HELD = "scene_hand_{}_held"
 """Key of the pose that a hand holds, in a snapshot."""
+_REFUSED = "The solver cannot take this scene: {}"
+
+
+LIVE_HOLD_STIFFNESS = 600.0
+"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
+fingertip pressed with 6 N is a centimetre behind."""
 
 
 class SimulationError(Exception):
@@ -60,6 +67,11 @@ def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The colliders of a scene, by name."""
     found = [item for item in scene.objects if item.tactile_clay.role == "COLLIDER"]
     return sorted(found, key=lambda item: item.name)
+
+
+def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether the clay feels a collider at the current frame."""
+    return bool(item.evaluated_get(depsgraph).tactile_clay.collider_enabled)
 
 
 def frames_per_second(scene: bpy.types.Scene) -> float:
@@ -86,16 +98,20 @@ def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
     return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
 
 
-def rest_positions(item: bpy.types.Object) -> NDArray[np.float32]:
-    """World positions the clay starts from [Blender units], shape [N, 3].
+def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> NDArray[np.float32]:
+    """World positions of a clay object's points [Blender units], shape [N, 3].
+
+    Args:
+        item: A clay object.
+        attribute: ``rest_position``, which a bake starts from, or ``position``, which is shown.
 
     Raises:
         SimulationError: The object is not as Make Clay made it, or it is scaled.
     """
-    local = read_points(item, "rest_position")
+    local = read_points(item, attribute)
     if local is None:
         raise SimulationError(
-            f"{item.name!r} has lost its attribute rest_position, so the shape it starts from is "
+            f"{item.name!r} has lost its attribute {attribute}, so the shape it starts from is "
             "unknown. Undo, or make the clay again."
         )
     if not len(local):
@@ -185,34 +201,48 @@ class _FlatCollider:
 class Simulation:
     """A Blender scene ready to be simulated, as it is at the current frame.
 
-    The current frame must be the first one. Making it checks everything that can be checked and
-    starts no solver yet.
+    For a bake the current frame must be the first one. Making it checks everything that can be
+    checked and starts no solver yet.
 
     Args:
         context: Its scene is what is simulated.
+        live: For a live session: clay starts as it is shown, what is switched off in the viewport
+            is left out, and hands give way to the clay.
 
     Raises:
         SimulationError: Something in the scene is wrong; the message names the object and says
             what to do.
     """
 
-    def __init__(self, context: bpy.types.Context) -> None:
+    def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
         scene = context.scene
         self.scene = scene
         self.scale = scene.unit_settings.scale_length
-        clay = clay_objects(scene)
-        if not clay:
+        self.live = live
+        if not clay_objects(scene):
             raise SimulationError(
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
         # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
-        self.hands = _read_hands(context)
+        self.hands = _read_hands(context, live=live)
         depsgraph = context.evaluated_depsgraph_get()
+        clay = _simulated(clay_objects(scene), depsgraph, live=live)
+        if not clay:
+            raise SimulationError(
+                "All clay of the scene is switched off in the viewport. Switch some of it on."
+            )
         _check_clay(clay, depsgraph)
         self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
         self.materials = tuple(_checked_material(item) for item in clay)
-        self.rest = [rest_positions(item) for item in clay]
+        attribute = "position" if live else "rest_position"
+        self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
+        self.edited: EditedClay | None = None
+        """Edits that are carried out on the way; None where there are none."""
+        if not live and scene.tactile_clay.film_edits:
+            from .sculpt.film_edits import EditedClay
+
+            self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
         self.spacing = _common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
         self.time_step = 1.0 / frames_per_second(scene)
@@ -222,7 +252,7 @@ class Simulation:
         self._meshes: list[_MovingCollider] = []
         self._frictions: dict[str, float] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
-        for item in collider_objects(scene):
+        for item in _simulated(collider_objects(scene), depsgraph, live=live):
             self._add_collider(item, depsgraph, middle)
         self.solver: Solver | None = None
 
@@ -276,7 +306,13 @@ class Simulation:
 
     def warnings(self) -> list[str]:
         """What the user should know of how the hands went."""
-        return [text for hand in self.hands for text in hand.warnings()]
+        warnings = [text for hand in self.hands for text in hand.warnings()]
+        if self.edited is not None and self.edited.lost:
+            warnings.append(
+                f"{self.edited.lost} particles of added clay found no room: the clay moved more "
+                "between strokes than was foreseen."
+            )
+        return warnings
 
     # Running ----------------------------------------------------------------------------------
 
@@ -290,15 +326,20 @@ class Simulation:
         Raises:
             SimulationError: The solver refuses the scene; the message says why.
         """
-        from ..solver import Scene, Solver
+        self.build(self.prepare(depsgraph), device)
+
+    def prepare(self, depsgraph: bpy.types.Depsgraph) -> Scene:
+        """Say what is in the solver's scene, at the current frame.
+
+        Raises:
+            SimulationError: The solver refuses it; the message says why.
+        """
+        from ..solver import Scene
 
         try:
             scene = Scene(spacing=self.spacing * self.scale, gravity=self.gravity.tolist())
-            first = 0
-            for points, material in zip(self.rest, self.materials, strict=True):
-                colors = self.colors[first : first + len(points)]
+            for (points, colors), material in zip(self._bodies(), self.materials, strict=True):
                 scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
-                first += len(points)
             for plane in self._planes:
                 friction = self._frictions[plane.item.name]
                 point = plane.point * self.scale
@@ -307,20 +348,50 @@ class Simulation:
                 vertices, _ = self._state(part, depsgraph)
                 friction = self._frictions[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+                part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)
-            self.feed(depsgraph)
-            self.solver = Solver(scene, self.settings, device=device)
+            self.follow(depsgraph)
         except HandError as error:
             raise SimulationError(str(error)) from error
-        except (MeshError, ValueError, RuntimeError) as error:
-            raise SimulationError(f"The solver cannot take this scene: {error}") from error
+        except (MeshError, ValueError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
+        return scene
+
+    def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """World positions [Blender units] and colours of each clay object's particles."""
+        if self.edited is not None:
+            return self.edited.bodies()
+        ends = np.cumsum([len(points) for points in self.rest])[:-1]
+        return list(zip(self.rest, np.split(self.colors, ends), strict=True))
+
+    def build(self, scene: Scene, device: str) -> None:
+        """Build the solver; this needs no Blender, so any thread may do it.
+
+        Args:
+            scene: What `prepare` gave.
+            device: What `solver_device` gave.
+
+        Raises:
+            SimulationError: The solver refuses the scene; the message says why.
+        """
+        from ..solver import Solver
+
+        self._device = device
+        try:
+            self.solver = Solver(scene, self.settings, device=device)
+        except (ValueError, RuntimeError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
+        """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
+        return bytes.fromhex(_digest(*self.follow(depsgraph)))
+
+    def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
         """Tell the solver, if it runs, where colliders and hands are at the current frame.
 
         Returns:
-            Sixteen bytes that say what they do.
+            What they do: all that decides the next step.
 
         Raises:
             SimulationError: A collider did what a solver cannot follow, or a hand is gone.
@@ -328,9 +399,11 @@ class Simulation:
         self._check_followed(depsgraph)
         self._check_planes(depsgraph)
         states = [self._state(part, depsgraph) for part in self._meshes]
-        for part, (vertices, pose) in zip(self._meshes, states, strict=True):
+        enabled = [is_enabled(part.item, depsgraph) for part in self._meshes]
+        for part, (vertices, pose), touches in zip(self._meshes, states, enabled, strict=True):
             if part.handle is None:
                 continue
+            part.handle.set_enabled(touches)
             try:
                 if not np.array_equal(vertices, part.handle.vertices):
                     part.handle.set_vertices(vertices)
@@ -339,7 +412,9 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        return bytes.fromhex(_digest(*states, *self._feed_hands(depsgraph)))
+        lifted = [which for which, touches in enumerate(enabled) if not touches]
+        said = [("lifted", *lifted)] if lifted else []
+        return [*states, *said, *self._feed_hands(depsgraph)]
 
     def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
         try:
@@ -347,16 +422,56 @@ class Simulation:
         except HandError as error:
             raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
 
-    def step(self) -> None:
-        """Advance by one frame, to where `feed` put the colliders."""
+    def step(self, part: float = 1.0) -> None:
+        """Advance by a part of a frame, to where `feed` put the colliders."""
         assert self.solver is not None
-        self.solver.step(self.time_step)
+        self.solver.step(part * self.time_step)
+
+    def reach(self, number: int, *, steps: bool) -> bytes:
+        """Bring the scene to a frame from the one before, by way of the moments between them.
+
+        Args:
+            number: The frame.
+            steps: Whether the solver steps on to each moment.
+
+        Returns:
+            Sixteen bytes that say what colliders and hands did.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+        """
+        count = self.scene.tactile_clay.motion_samples
+        done = []
+        for sample in range(1, count + 1):
+            if sample < count:
+                self.scene.frame_set(number - 1, subframe=sample / count)
+            else:
+                self.scene.frame_set(number)
+            done.append(self.feed(bpy.context.evaluated_depsgraph_get()))
+            if steps:
+                self.step(1.0 / count)
+                self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
+        return done[0] if count == 1 else bytes.fromhex(_digest(*done))
+
+    def _edit(self, after: float, until: float) -> None:
+        """Carry out the edits between two moments [frames]."""
+        edits = self.edited.due(after, until) if self.edited is not None else ()
+        if not edits:
+            return
+        assert self.edited is not None and self.solver is not None
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        if self.edited.apply(edits, positions):
+            self._build_anew()
+
+    def _build_anew(self) -> None:
+        self.build(self.prepare(bpy.context.evaluated_depsgraph_get()), self._device)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Everything that decides what the next steps do, as plain arrays."""
         assert self.solver is not None
         held = {_HELD.format(number): hand.held() for number, hand in enumerate(self.hands)}
-        return {**self.solver.snapshot(), **held}
+        edited = self.edited.snapshot() if self.edited is not None else {}
+        return {**self.solver.snapshot(), **held, **edited}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Take up a state that `snapshot` gave, after `feed` at its frame.
@@ -369,19 +484,32 @@ class Simulation:
         rest = dict(snapshot)
         # At the frame itself a hand may have a pose that was dropped, and hold an earlier one.
         held = [rest.pop(_HELD.format(number)) for number in range(len(self.hands))]
-        self.solver.restore(rest)
+        try:
+            if self.edited is not None:
+                changed = self.edited.restore(rest)
+                rest = {k: v for k, v in rest.items() if not k.startswith("scene_edit_")}
+                if changed:
+                    self._build_anew()
+            self.solver.restore(rest)
+        except (KeyError, ValueError):
+            if self.edited is not None:
+                self.edited.begin()
+                self._build_anew()
+            raise
         for hand, bones in zip(self.hands, held, strict=True):
             hand.hold(bones)
 
     def positions(self) -> NDArray[np.float32]:
         """World positions [Blender units], shape [N, 3]."""
         assert self.solver is not None
-        return (self.solver.positions() / self.scale).astype(np.float32)
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        return positions if self.edited is None else self.edited.spread(positions)
 
     def velocities(self) -> NDArray[np.float32]:
         """World velocities [Blender units/s], shape [N, 3]."""
         assert self.solver is not None
-        return (self.solver.velocities() / self.scale).astype(np.float32)
+        velocities = (self.solver.velocities() / self.scale).astype(np.float32)
+        return velocities if self.edited is None else self.edited.spread(velocities)
 
     def _state(
         self, part: _MovingCollider, depsgraph: bpy.types.Depsgraph
@@ -431,6 +559,13 @@ class Simulation:
 
     def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
         for plane in self._planes:
+            if not is_enabled(plane.item, depsgraph):
+                raise SimulationError(
+                    f"{plane.item.name!r} does not touch the clay at frame "
+                    f"{self.scene.frame_current}, but an endless plane always does. Switch "
+                    "Touches Clay on, or give it thickness (Solidify modifier), so that it is a "
+                    "closed mesh."
+                )
             vertices, _ = evaluated_mesh(plane.item, depsgraph)
             matrix = plane.item.evaluated_get(depsgraph).matrix_world
             away = (transform(matrix, vertices) - plane.point) @ plane.normal
@@ -451,12 +586,13 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
     """
     clay = clay_objects(scene)
     gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
+    samples, edits = scene.tactile_clay.motion_samples, scene.tactile_clay.film_edits
     return {
-        "clay": clay_digest(clay),
+        "clay": _digest(clay_digest(clay), edits) if edits else clay_digest(clay),
         "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
         "solver settings": _digest(asdict(solver_settings(scene))),
         "gravity": _digest(*gravity),
-        "frame rate": _digest(frames_per_second(scene)),
+        "frame rate": _digest(frames_per_second(scene), *([samples] if samples > 1 else [])),
         "unit scale": _digest(scene.unit_settings.scale_length),
     }
 
@@ -467,14 +603,33 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
     Raises:
         SimulationError: The clay cannot be simulated.
     """
-    return _digest(*((item.tactile_clay.spacing, rest_positions(item)) for item in clay))
+    return _digest(*((item.tactile_clay.spacing, clay_positions(item)) for item in clay))
 
 
-def _read_hands(context: bpy.types.Context) -> list[MovingHand]:
+def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
+    gives_way = live or context.scene.tactile_clay.hands_give_way
+    hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
+    hands = hand_objects(context.scene)
+    if hands and live:
+        hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)
     try:
-        return [MovingHand(context, item) for item in hand_objects(context.scene)]
+        return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
     except HandError as error:
         raise SimulationError(str(error)) from error
+
+
+def _simulated(
+    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
+) -> list[bpy.types.Object]:
+    """Those that take part: a bake refuses what is switched off, as it may be so by mistake.
+
+    Live, what a tool did in an earlier take is felt no more.
+    """
+    return [
+        item
+        for item in objects
+        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
+    ]
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:

@@ -87,8 +87,8 @@ def reconstruct(
     2023, doi:10.2312/vmv.20231245, by the splashsurf library). Then every separate piece is
     offset along its normals until it holds the volume of its own particles, one cube of side
     `spacing` each. Pieces too dense or too stretched for an offset of a third of the spacing are
-    scaled about their middle for the rest. A colour is a mean over the particles around a vertex
-    that falls off so steeply that where two colours meet the border is one triangle wide.
+    scaled about their middle for the rest. A colour is a mean over the particles around a vertex;
+    where two colours meet the border is one or two spacings wide.
 
     Limitations: no feature smaller than about one spacing survives, and edges are rounded by half
     of one. Where a piece is thinner than that the offset may make it cross itself. Voids smaller

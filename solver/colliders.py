@@ -13,7 +13,10 @@ from .scene import MeshCollider, Plane, Scene
 from .soft_hand import SoftHand
 
 OUT_OF_REACH = 1.0e6
-"""Clearance of a hand that cannot be touched [m]."""
+"""Clearance of a mesh or hand that cannot be touched [m]."""
+
+BARELY = float(np.finfo(float).tiny)
+"""A motion that disturbs clay and asks for no substeps [m]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -99,6 +102,8 @@ class _MovingMesh:
     shape: _Shape
     start: wp.array | None = None
     end: wp.array | None = None
+    enabled: bool = True
+    """Whether the clay met it in the last step."""
 
 
 class MeshColliders:
@@ -119,7 +124,7 @@ class MeshColliders:
         for collider in scene.meshes:
             shape = _shape_of(collider, None)
             mesh = _make_mesh(collider, shape, device)
-            self.moving.append(_MovingMesh(collider, mesh, shape))
+            self.moving.append(_MovingMesh(collider, mesh, shape, enabled=collider.enabled))
         count = len(scene.meshes) + len(scene.hands)
         self.reach = wp.zeros(count, dtype=float, device=device)
         self.travel = wp.zeros(count, dtype=float, device=device)
@@ -154,7 +159,8 @@ class MeshColliders:
             )
             for which, hand in enumerate(scene.hands)
         ]
-        self._contactless = [False] * len(self.hands)
+        self._contactless = [False] * count
+        """Meshes and hands that nothing could touch in the last step."""
         self.mesh = wp.zeros(count, dtype=wp.uint64, device=device)
         self._tell_meshes()
 
@@ -180,6 +186,13 @@ class MeshColliders:
         for moving in self.moving:
             begin, end = moving.shape, _shape_of(moving.collider, moving.shape)
             self._targets.append(end)
+            if not (moving.enabled and moving.collider.enabled):
+                # It is nowhere, or comes or goes where it is: that disturbs what it touches there.
+                there = end if moving.collider.enabled else begin
+                corners = there.moved(there.corners)
+                motions.append(float(moving.enabled != moving.collider.enabled) * BARELY)
+                boxes.append(np.array([corners.min(0), corners.max(0)]))
+                continue
             # An affine motion takes no point of a box farther than the farthest corner.
             motion = _longest(end.moved(begin.corners) - begin.moved(begin.corners))
             if end.vertices is not begin.vertices or motion > ignored:
@@ -245,16 +258,17 @@ class MeshColliders:
         turning = np.zeros(len(motions), bool)
         for which, (moving, target) in enumerate(zip(self.moving, targets, strict=True)):
             turned = target.orientation != moving.shape.orientation
-            before = target if teleported[which] else moving.shape
-            if teleported[which]:
-                row = self.clearance.numpy()
-                row[which] = 0.0
-                self.clearance.assign(row)
+            sweeps = moving.enabled and moving.collider.enabled and not teleported[which]
+            moving.enabled = moving.collider.enabled
+            before = moving.shape if sweeps else target
+            self._show(which, present=moving.enabled, jumps=not sweeps)
             if turned:
                 moving.mesh = _make_mesh(moving.collider, target, self.device)
             poses[which] = _way(before, target, substeps)
             turning[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
-            if not teleported[which] and (turning[which] or self._turned[which]):
+            if not sweeps:
+                travel[which] = 0.0
+            elif turning[which] or self._turned[which]:
                 travel[which] = 0.0
                 if target.vertices is not before.vertices:
                     travel[which] = _longest(target.vertices - before.vertices) / substeps
@@ -281,7 +295,7 @@ class MeshColliders:
         for hand in self.hands:
             jumps = teleported[hand.row]
             hand.begin_step(duration, jumps=jumps, near=near[hand.row])
-            self._show(hand, jumps)
+            self._show(hand.row, present=hand.present, jumps=jumps)
         room = self.pose.shape[1]
         while room < substeps + 1:
             room *= 2
@@ -292,15 +306,16 @@ class MeshColliders:
         filled[:, : substeps + 1] = poses
         self.pose.assign(filled)
 
-    def _show(self, hand: SoftHand, jumps: bool) -> None:
-        """Let clay touch a hand or not; one that jumps may be anywhere now."""
-        which = hand.row - len(self.moving)
-        appears = hand.present and self._contactless[which]
-        vanishes = not hand.present and not self._contactless[which]
-        if jumps or appears or vanishes:
-            if self.clearance.size:
-                self.clearance[hand.row].fill_(0.0 if hand.present else OUT_OF_REACH)
-            self._contactless[which] = not hand.present
+    def _show(self, row: int, *, present: bool, jumps: bool) -> None:
+        """Let clay touch a mesh or hand or not; one that jumps may be anywhere now."""
+        if not self.clearance.size:
+            pass
+        elif not present:
+            # In every step: clay that wakes has forgotten how far off everything is.
+            self.clearance[row].fill_(OUT_OF_REACH)
+        elif jumps or self._contactless[row]:
+            self.clearance[row].zero_()
+        self._contactless[row] = not present
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
         """Bring deforming meshes to the end of a substep of ``time_step`` [s]."""
@@ -323,6 +338,7 @@ class MeshColliders:
             "collider_clearance": self.clearance.numpy().copy(),
             "collider_poses_before": self._poses_before.copy(),
             "collider_turned": self._turned.copy(),
+            "collider_contactless": np.array(self._contactless),
         }
         for hand in self.hands:
             state |= hand.snapshot()
@@ -337,6 +353,7 @@ class MeshColliders:
         self.clearance.assign(state["collider_clearance"])
         self._poses_before = state["collider_poses_before"].copy()
         self._turned = state["collider_turned"].copy()
+        self._contactless = state["collider_contactless"].tolist()
         for which, moving in enumerate(self.moving):
             vertices = state[f"collider_{which}_vertices"].copy()
             moving.shape = _Shape(
@@ -349,10 +366,10 @@ class MeshColliders:
             )
             moving.start = moving.end = None
             moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
+            moving.enabled = not self._contactless[which]
         self._tell_meshes()
         for hand in self.hands:
             hand.restore(state)
-        self._contactless = [not hand.present for hand in self.hands]
 
 
 def _make_mesh(collider: MeshCollider, shape: _Shape, device: wp.Device) -> wp.Mesh:

@@ -176,6 +176,8 @@ class PaperContacts:
             self._carry_ghosts()
             first = len(contacts.colliders) - len(self.ghosts)
             for which, ghosts in enumerate(self.ghosts):
+                if not contacts.meshes.moving[which].enabled:
+                    continue
                 wp.launch(
                     find_ghost_contacts,
                     dim=self.particles.count,

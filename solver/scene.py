@@ -57,6 +57,7 @@ class MeshCollider:
         self.friction = friction
         self._vertices = vertices
         self._pose = np.eye(4)
+        self._enabled = True
         self.shape_version = 0
 
     @property
@@ -68,6 +69,20 @@ class MeshCollider:
     def pose(self) -> NDArray[np.float64]:
         """World from own coordinates, shape [4, 4]."""
         return self._pose
+
+    @property
+    def enabled(self) -> bool:
+        """Whether the clay meets it."""
+        return self._enabled
+
+    def set_enabled(self, enabled: bool) -> None:
+        """Say whether the clay meets it from the next step on.
+
+        A collider that is not enabled may be moved anywhere, through clay, too: it costs nothing
+        and meets nothing. When it is enabled again it is at its pose at once, without sweeping the
+        way there, and clay inside it is moved out gently.
+        """
+        self._enabled = bool(enabled)
 
     def set_pose(self, pose: ArrayLike) -> None:
         """Move to a pose by the end of the next step.

@@ -335,3 +335,38 @@ def test_gravity_is_the_scenes(studio: Any) -> None:
     np.testing.assert_allclose(Simulation(bpy.context).gravity, (0.0, 1.0, -2.0))
     studio.scene.use_gravity = False
     np.testing.assert_allclose(Simulation(bpy.context).gravity, 0.0)
+
+
+def test_keyframes_lift_a_tool_off_the_clay_and_set_it_on(studio: Any) -> None:
+    """Tell the solver at each frame whether the clay feels the tool, and the cache, too."""
+    studio.clay()
+    tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
+    values = tool.tactile_clay
+    for frame, touches in ((1, True), (3, False), (5, True)):
+        values.collider_enabled = touches
+        tool.keyframe_insert("tactile_clay.collider_enabled", frame=frame)
+    studio.scene.frame_set(1)
+    simulation = Simulation(bpy.context)
+    (mesh,) = solver_colliders(simulation).meshes
+    seen, states = [], []
+    for frame in range(1, 7):
+        studio.scene.frame_set(frame)
+        states.append(simulation.feed(bpy.context.evaluated_depsgraph_get()))
+        seen.append(mesh.enabled)
+    assert seen == [True, True, False, False, True, True]
+    assert states[0] == states[1] == states[4]
+    assert states[2] == states[3] != states[0]
+    tool.animation_data_clear()
+    values.collider_enabled = False
+    studio.scene.frame_set(6)
+    simulation.feed(bpy.context.evaluated_depsgraph_get())
+    assert not mesh.enabled
+
+
+def test_plane_that_does_not_touch_the_clay_is_refused(studio: Any) -> None:
+    """Say that an endless plane always touches, and what to do instead."""
+    studio.clay()
+    studio.table().tactile_clay.collider_enabled = False
+    simulation = Simulation(bpy.context)
+    with pytest.raises(SimulationError, match=r"'Table' does not touch the clay at frame 1"):
+        simulation.feed(bpy.context.evaluated_depsgraph_get())

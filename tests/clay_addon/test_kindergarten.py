@@ -16,11 +16,12 @@ from mathutils.bvhtree import BVHTree  # noqa: E402
 from tactile_clay.clay_addon import kindergarten, register, unregister  # noqa: E402
 from tactile_clay.clay_addon.hand import hand_objects  # noqa: E402
 from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
+from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
 from tactile_clay.clay_addon.simulation import (  # noqa: E402
     Simulation,
     clay_colors,
+    clay_positions,
     collider_objects,
-    rest_positions,
 )
 from tactile_clay.solver.closed_mesh import check_closed_mesh  # noqa: E402
 from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
@@ -46,7 +47,9 @@ class Played:
 def scene() -> Iterator[kindergarten.Kindergarten]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     register()
-    yield kindergarten.build(bpy.context)
+    # Beside another scene, whose objects may be called the same.
+    bpy.context.collection.objects.link(bpy.data.objects.new("Orange Suzanne", None))
+    yield add_scene(bpy.context, "Kindergarten", kindergarten.build)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     unregister()
 
@@ -77,7 +80,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
         simulation.step()
     context.scene.frame_set(1)
     after = simulation.positions()
-    names = [item.name for item in scene.pieces]
+    names = [item.name.removesuffix(".001") for item in scene.pieces]
     assert simulation.solver is not None
     return Played(
         {name: before[owner == index] for index, name in enumerate(names)},
@@ -89,7 +92,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
 
 def piece_of_particles(scene: kindergarten.Kindergarten) -> np.ndarray:
     """Index of each particle's piece, told by where its mesh is, -1 for none, shape [N]."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     owner = np.full(len(points), -1)
     for index, item in enumerate(scene.pieces):
         vertices = world_vertices(item)
@@ -105,7 +108,7 @@ def height(points: np.ndarray) -> float:
 
 def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
     """Leave at least a particle's diameter between particles of two pieces."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     colors = clay_colors(scene.clay)
     piece = piece_of_particles(scene)
     assert (piece >= 0).all()
@@ -117,7 +120,7 @@ def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
 
 def test_clay_stands_on_the_table(scene: kindergarten.Kindergarten) -> None:
     """Put every particle above the table, and some of every piece down on it."""
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     assert points[:, 2].min() > 0.3 * SPACING
     for item in scene.pieces:
         assert world_vertices(item)[:, 2].min() == pytest.approx(0.0, abs=1e-5)
@@ -126,7 +129,7 @@ def test_clay_stands_on_the_table(scene: kindergarten.Kindergarten) -> None:
 def test_hands_are_closed_and_begin_off_the_clay(scene: kindergarten.Kindergarten) -> None:
     """Start with closed hands around which there is no clay."""
     bpy.context.scene.frame_set(1)
-    points = rest_positions(scene.clay)
+    points = clay_positions(scene.clay)
     assert list(scene.hands) == hand_objects(bpy.context.scene)[::-1]
     assert len(scene.hands) == 2
     for hand in scene.hands:

@@ -17,14 +17,15 @@ from tactile_clay.clay_addon import look
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.delivery import deliver
 from tactile_clay.clay_addon.export import export_clay
+from tactile_clay.clay_addon.live_surface import LiveSurface
 from tactile_clay.clay_addon.make_clay import make_clay
 from tactile_clay.clay_addon.pack import is_packed, pack_bake
 from tactile_clay.clay_addon.poses import (
     PoseError,
     key_pose,
-    live_shape,
     pose_at,
     pose_frames,
+    pose_modifier,
 )
 
 
@@ -151,9 +152,21 @@ def test_work_goes_on_from_a_pose(studio: Any, clay: Any) -> None:
     assert bpy.ops.clay.pose_take() == {"FINISHED"}
     np.testing.assert_array_equal(sculpt(clay, 0), first)
     assert len(clay.data.attributes["rest_position"].data) == 64
-    with live_shape(clay):
-        assert shown(clay, 5).shape == (64, 3)
     assert shown(clay, 5).shape == (8, 3)
+
+
+def test_sculpting_shows_the_clay_itself(studio: Any, clay: Any) -> None:
+    """While the clay is shown live its keyed poses are not, and afterwards they are again."""
+    key_two(studio, clay)
+    modifier = pose_modifier(clay)
+    assert modifier is not None
+    live = LiveSurface(bpy.context, [clay])
+    try:
+        assert live._show_points()
+        assert not modifier.show_viewport
+    finally:
+        live.close()
+    assert modifier.show_viewport
 
 
 def test_export_and_delivery_take_the_pose_that_is_shown(

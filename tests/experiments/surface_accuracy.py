@@ -18,7 +18,7 @@ from mathutils.bvhtree import BVHTree
 from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.look import add_look, set_input
-from tactile_clay.clay_addon.make_clay import _point_cloud
+from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh
 from tactile_clay.clay_addon.surface import Surface, reconstruct
 from tactile_clay.solver import fill_mesh
@@ -56,7 +56,7 @@ def exact_surface(points: NDArray[np.float64], spacing: float) -> Surface:
 def nodes_surface(points: NDArray[np.float64], spacing: float) -> Surface:
     """The surface that the geometry nodes of the look show."""
     colors = np.ones((len(points), 4), np.float32)
-    item = _point_cloud(bpy.context, points.astype(np.float32), colors, spacing, "Clay")
+    item = make_point_cloud(bpy.context, points.astype(np.float32), colors, spacing, "Clay")
     modifier = add_look(item, spacing=spacing)
     set_input(modifier, "Viewport Limit", 10**7)
     vertices, faces = _evaluated(item)

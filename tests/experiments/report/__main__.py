@@ -21,6 +21,7 @@ from . import plots
 from .companions import (
     HardCaseResult,
     hard_cases,
+    measure_frames,
     measure_hands,
     measure_surfaces,
     run_ablation,
@@ -124,6 +125,8 @@ def main() -> None:
         report.hands = measure_hands()
         say("Measuring surfaces ...")
         report.surfaces = measure_surfaces()
+        say("Measuring a frame of live sculpting, alone ...")
+        report.frames = measure_frames()
         report.ablation = run_ablation(options.output)
         say("Running touch ...")
         report.touch = run_touch(options.output)

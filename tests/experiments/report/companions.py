@@ -7,6 +7,7 @@ Each is run where its module stands beside this folder, and left out where it do
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -120,3 +121,15 @@ def measure_hands() -> list[str]:
     if cost is None or press is None:
         return []
     return [*cost.cost_lines(), "", *press.press_lines(), ""]
+
+
+def measure_frames() -> list[str]:
+    """Measure where the time of a frame of live sculpting goes.
+
+    Returns:
+        Lines of Markdown, none where there is no Blender.
+    """
+    budget = companion("frame_budget")
+    if budget is None or importlib.util.find_spec("bpy") is None:
+        return []
+    return list(budget.budget_lines())

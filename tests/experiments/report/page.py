@@ -56,6 +56,8 @@ class Report:
     """Lines of the ablation's part."""
     surfaces: list[str] = field(default_factory=list)
     """Lines of the part about surfaces."""
+    frames: list[str] = field(default_factory=list)
+    """Lines of the live frame's part."""
     touch: list[str] = field(default_factory=list)
     """Lines of touch's part."""
     seconds: float = 0.0
@@ -97,6 +99,8 @@ def write_page(report: Report, folder: Path) -> None:
         ]
     if report.hands:
         lines += ["## Soft hands", "", *report.hands, ""]
+    if report.frames:
+        lines += ["## A frame of live sculpting", "", *report.frames]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
     if report.surfaces:

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the hands of a live session are let feel."""
+
+from __future__ import annotations
+
+from numpy.typing import NDArray
+
+from .. import touch
+from ..bake_touch import ghost_weights
+from ..simulation import Simulation
+from ..touch_array import TouchArrayError
+from .solver_worker import Stepped
+
+
+class LiveTouch:
+    """Sends what each step of a session came to, where the scene has an array and hands."""
+
+    def __init__(self) -> None:
+        self._simulation: Simulation | None = None
+        self._weights: list[NDArray | None] = []
+        self._since: float | None = None
+        self.problem = ""
+        """What went wrong last, as a sentence; empty where nothing did."""
+
+    def after(self, simulation: Simulation, stepped: Stepped) -> None:
+        """Let a step be felt."""
+        if not stepped.contacts or simulation.scene.tactile_touch.array is None:
+            return
+        if simulation is not self._simulation:
+            self._weights, warnings = ghost_weights(simulation)
+            self.problem = " ".join(warnings)
+            self._simulation, self._since = simulation, None
+        try:
+            touch.touch_frame(
+                simulation.scene, stepped.contacts, weights=self._weights, dt=self._since
+            )
+        except TouchArrayError as error:
+            self.problem = str(error)
+            return
+        self._since = stepped.duration
