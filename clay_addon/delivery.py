@@ -302,23 +302,22 @@ def _write_frames(
     writer = FrameWriter(folder / FRAMES_FOLDER, kind, frames_per_second=rate, points=points)
     total = last + 1 - first
     began = time.perf_counter()
-    with writer:
-        for number in range(first, last + 1):
-            key = shown.key(number)
-            if key not in files:
-                start = time.perf_counter()
-                particles = shown.read(number)
-                surface, count, volume = particles_surface(particles, moving=kind == "usd")
-                tally.sizes.append(writer.write(number, surface, particles))
-                tally.seconds.append(time.perf_counter() - start)
-                tally.volume_errors.append(surface.volume / volume - 1)
-                tally.vertices = max(tally.vertices, len(surface.vertices))
-                tally.particles = count
-                files[key] = writer.path(number).name
-            shapes[number] = files[key], writer.object_path
-            done = number + 1 - first
-            left = (time.perf_counter() - began) / done * (total - done)
-            yield DeliveryProgress(number, done, total, sum(tally.sizes), left)
+    for number in range(first, last + 1):
+        key = shown.key(number)
+        if key not in files:
+            start = time.perf_counter()
+            particles = shown.read(number)
+            surface, count, volume = particles_surface(particles, moving=kind == "usd")
+            tally.sizes.append(writer.write(number, surface, particles))
+            tally.seconds.append(time.perf_counter() - start)
+            tally.volume_errors.append(surface.volume / volume - 1)
+            tally.vertices = max(tally.vertices, len(surface.vertices))
+            tally.particles = count
+            files[key] = writer.path(number).name
+        shapes[number] = files[key], writer.object_path
+        done = number + 1 - first
+        left = (time.perf_counter() - began) / done * (total - done)
+        yield DeliveryProgress(number, done, total, sum(tally.sizes), left)
     return shapes
 
 

@@ -13,14 +13,14 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import bpy
 import numpy as np
 
 from .cache_files import replace_file
-from .look import get_input, set_input
+from .look import set_input
+from .shown_clay import Particles
 from .surface import Surface
 
 COLOR_ATTRIBUTE = "displayColor"
@@ -36,7 +36,8 @@ POINTS_PATH = "/Clay/points/PointCloud"
 class FrameWriter:
     """Writes shapes through Blender's exporters, each into a file of its own.
 
-    Use it as a context: its scene and nodes are gone afterwards.
+    What it needs in the .blend is there only while it writes: a person may do other things in
+    between, and Undo keeps what there is.
 
     Args:
         folder: Where the files go; it must exist.
@@ -65,25 +66,7 @@ class FrameWriter:
         """The file of the shape first shown at a frame."""
         return self._folder / f"clay_{number:06d}.{'usdc' if self._kind == 'usd' else 'abc'}"
 
-    def __enter__(self) -> FrameWriter:
-        self._scene = bpy.data.scenes.new("Clay Delivery")
-        self._scene.render.fps, self._scene.render.fps_base = self._rate
-        self._whole = _late_group("FACE", as_points=False)
-        self._cloud = _late_group("POINT", as_points=True) if self._points else None
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        bpy.data.scenes.remove(self._scene)
-        for group in (self._whole, self._cloud):
-            if group is not None:
-                bpy.data.node_groups.remove(group)
-
-    def write(self, number: int, surface: Surface, particles: Sequence[Any] = ()) -> int:
+    def write(self, number: int, surface: Surface, particles: Sequence[Particles] = ()) -> int:
         """Write a shape.
 
         Args:
@@ -97,65 +80,73 @@ class FrameWriter:
         Raises:
             OSError: It could not be written.
         """
-        items = [self._surface_item(surface)]
-        if self._cloud is not None:
-            items.append(self._points_item(particles))
+        path = self.path(number)
+        made: list[bpy.types.ID] = []
         try:
-            for item in items:
-                self._scene.collection.objects.link(item)
-                for modifier in item.modifiers:
-                    set_input(modifier, "Frame", number)
-            path = self.path(number)
-            self._export(number, path)
+            scene = self._scene(made)
+            self._add_surface(scene, made, number, surface)
+            if self._points:
+                self._add_points(scene, made, number, particles)
+            self._export(scene, number, path)
         finally:
-            for item in items:
-                _remove(item)
+            # What uses another goes first.
+            for block in made:
+                bpy.data.batch_remove([block])
         size = path.stat().st_size if path.is_file() else 0
         if size == 0:
             raise OSError(f"Blender wrote nothing into {path}")
         return size
 
-    def _surface_item(self, surface: Surface) -> bpy.types.Object:
+    def _scene(self, made: list[bpy.types.ID]) -> bpy.types.Scene:
+        scene = bpy.data.scenes.new("Clay Delivery")
+        made.append(scene)
+        scene.render.fps, scene.render.fps_base = self._rate
+        return scene
+
+    def _add_surface(
+        self, scene: bpy.types.Scene, made: list[bpy.types.ID], number: int, surface: Surface
+    ) -> None:
         mesh = triangle_mesh(self.name, surface)
+        item = _add_object(scene, made, self.name, mesh)
         assert surface.colors is not None
         if self._kind == "usd":
-            _add_attribute(mesh, COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", surface.colors)
             assert surface.velocities is not None
+            _add_attribute(mesh, COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", surface.colors)
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
-        else:
-            # Alembic of Blender has no other colours, and no velocities.
-            layer = mesh.attributes.new(COLOR_ATTRIBUTE, "BYTE_COLOR", "CORNER")
-            corners = np.ascontiguousarray(surface.colors[surface.faces.ravel()], np.float32)
-            layer.data.foreach_set("color", corners.ravel())
-            mesh.attributes.active_color = layer
-        return self._item(self.name, mesh, self._whole if self._kind == "usd" else None)
+            _add_late(item, made, number, "FACE")
+            return
+        # Alembic of Blender has no other colours, and no velocities.
+        layer = mesh.attributes.new(COLOR_ATTRIBUTE, "BYTE_COLOR", "CORNER")
+        corners = np.ascontiguousarray(surface.colors[surface.faces.ravel()], np.float32)
+        layer.data.foreach_set("color", corners.ravel())
+        mesh.attributes.active_color = layer
 
-    def _points_item(self, particles: Sequence[Any]) -> bpy.types.Object:
-        """A point cloud whose nodes take the particles from a mesh: 4.5 can size no point cloud."""
+    def _add_points(
+        self,
+        scene: bpy.types.Scene,
+        made: list[bpy.types.ID],
+        number: int,
+        particles: Sequence[Particles],
+    ) -> None:
+        """Add a point cloud whose nodes take it from a mesh: 4.5 can size no point cloud."""
         positions = np.concatenate([part.positions for part in particles])
-        mesh = bpy.data.meshes.new("points")
+        mesh = bpy.data.meshes.new("particles")
+        source = bpy.data.objects.new("particles", mesh)
         mesh.vertices.add(len(positions))
         for name, kind, key, values in (
             ("position", "FLOAT_VECTOR", "vector", positions),
-            (COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", _all(particles, "colors")),
-            (VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", _all(particles, "velocities")),
+            (COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", [part.colors for part in particles]),
+            (VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", [p.velocities for p in particles]),
         ):
-            _add_attribute(mesh, name, kind, key, values)
-        item = self._item("points", bpy.data.pointclouds.new("points"), self._cloud)
-        set_input(item.modifiers[0], "Particles", bpy.data.objects.new("particles", mesh))
-        set_input(item.modifiers[0], "Radius", 0.5 * particles[0].spacing)
-        return item
+            whole = np.concatenate(values) if isinstance(values, list) else values
+            _add_attribute(mesh, name, kind, key, whole)
+        item = _add_object(scene, made, "points", bpy.data.pointclouds.new("points"))
+        modifier = _add_late(item, made, number, "POINT")
+        set_input(modifier, "Particles", source)
+        set_input(modifier, "Radius", 0.5 * particles[0].spacing)
+        made += [source, mesh]
 
-    def _item(
-        self, name: str, data: bpy.types.ID, group: bpy.types.NodeTree | None
-    ) -> bpy.types.Object:
-        item = bpy.data.objects.new(name, data)
-        if group is not None:
-            item.modifiers.new("Late", "NODES").node_group = group
-        return item
-
-    def _export(self, number: int, path: Path) -> None:
-        scene = self._scene
+    def _export(self, scene: bpy.types.Scene, number: int, path: Path) -> None:
         # The exporter writes what never changes as a default, which value clips do not read: so
         # the frame before shows one triangle of the shape, and the frame itself all of it.
         scene.frame_start, scene.frame_end = number - 1, number
@@ -266,8 +257,24 @@ def triangle_mesh(name: str, surface: Surface) -> bpy.types.Mesh:
     return mesh
 
 
-def _all(particles: Sequence[Any], name: str) -> Any:
-    return np.concatenate([getattr(part, name) for part in particles])
+def _add_object(
+    scene: bpy.types.Scene, made: list[bpy.types.ID], name: str, data: bpy.types.ID
+) -> bpy.types.Object:
+    item = bpy.data.objects.new(name, data)
+    made += [item, data]
+    scene.collection.objects.link(item)
+    return item
+
+
+def _add_late(
+    item: bpy.types.Object, made: list[bpy.types.ID], number: int, domain: str
+) -> bpy.types.Modifier:
+    group = _late_group(domain)
+    made.append(group)
+    modifier = item.modifiers.new("Late", "NODES")
+    modifier.node_group = group
+    set_input(modifier, "Frame", number)
+    return modifier
 
 
 def _add_attribute(mesh: bpy.types.Mesh, name: str, kind: str, key: str, values: Any) -> None:
@@ -281,16 +288,6 @@ def _call(operator: Any, **options: Any) -> None:
     operator(**{name: value for name, value in options.items() if name in known})
 
 
-def _remove(item: bpy.types.Object) -> None:
-    """Remove an object with its data and with the object its nodes take particles from."""
-    source = get_input(item.modifiers[0], "Particles") if item.type == "POINTCLOUD" else None
-    data = item.data
-    bpy.data.objects.remove(item)
-    bpy.data.batch_remove([data])
-    if source is not None:
-        _remove(source)
-
-
 def _free_name(name: str) -> str:
     """A name that no object and no mesh has, so that Blender leaves it as it is."""
     wanted, count = name, 1
@@ -300,7 +297,7 @@ def _free_name(name: str) -> str:
     return wanted
 
 
-def _late_group(domain: str, *, as_points: bool) -> bpy.types.NodeTree:
+def _late_group(domain: str) -> bpy.types.NodeTree:
     """Nodes that leave one element of a mesh before a frame, and all of it from there on."""
     tree = bpy.data.node_groups.new("Clay Delivery", "GeometryNodeTree")
     tree.is_modifier = True
@@ -322,13 +319,13 @@ def _late_group(domain: str, *, as_points: bool) -> bpy.types.NodeTree:
     left = tree.nodes.new("GeometryNodeDeleteGeometry")
     left.domain = domain
     source = given
-    if as_points:
+    if domain == "POINT":
         source = tree.nodes.new("GeometryNodeObjectInfo")
         tree.links.new(given.outputs["Particles"], source.inputs["Object"])
     tree.links.new(source.outputs["Geometry"], left.inputs["Geometry"])
     tree.links.new(beyond.outputs[0], left.inputs["Selection"])
     geometry = left.outputs[0]
-    if as_points:
+    if domain == "POINT":
         points = tree.nodes.new("GeometryNodeMeshToPoints")
         tree.links.new(geometry, points.inputs["Mesh"])
         tree.links.new(given.outputs["Radius"], points.inputs["Radius"])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
+from typing import Any
 
 import bpy
 
@@ -27,14 +28,10 @@ def describe(result: DeliveryResult) -> str:
     )
 
 
-class CLAY_OT_deliver(bpy.types.Operator):  # noqa: N801
-    """Write the clay's surface over time and play that in place of the clay: the .blend and its
-    folder then play and render anywhere. Esc stops and changes nothing"""
+class _DeliverOperator:
+    """Delivering, with or without a window."""
 
-    bl_idname = "clay.deliver"
-    bl_label = "Bake to USD"
-    bl_options = {"REGISTER", "UNDO"}
-
+    report: Any
     _steps: Generator[DeliveryProgress, None, DeliveryResult] | None = None
     _timer: bpy.types.Timer | None = None
 
@@ -135,6 +132,15 @@ class CLAY_OT_deliver(bpy.types.Operator):  # noqa: N801
     def _report_result(self, result: DeliveryResult) -> set[str]:
         self.report({"INFO"}, f"{describe(result)}. Save the .blend to keep it.")
         return {"FINISHED"}
+
+
+class CLAY_OT_deliver(_DeliverOperator, bpy.types.Operator):  # noqa: N801
+    """Write the clay's surface over time and play that in place of the clay: the .blend and its
+    folder then play and render anywhere. Esc stops and changes nothing"""
+
+    bl_idname = "clay.deliver"
+    bl_label = "Bake to USD"
+    bl_options = {"REGISTER", "UNDO"}
 
 
 class CLAY_OT_deliver_remove(bpy.types.Operator):  # noqa: N801

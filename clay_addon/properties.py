@@ -231,7 +231,7 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         default="//clay_cache",
     )
     delivery_directory: bpy.props.StringProperty(
-        name="Delivery",
+        name="Folder",
         description="Folder of the delivered files; // is the folder of the .blend file",
         subtype="DIR_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},

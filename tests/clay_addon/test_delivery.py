@@ -7,12 +7,15 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import bpy
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon import delivery_operators
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.cache import Cache, Frame
 from tactile_clay.clay_addon.delivery import DeliveryError, deliver
@@ -290,6 +293,39 @@ def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
     with pytest.raises(DeliveryError, match=r"Frame 3 is missing in the bake\. Press Resume"):
         deliver(bpy.context)
     assert not (tmp_path / "gap" / "clay_delivery").exists()
+
+
+def test_escape_in_a_window_changes_nothing(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame goes at each tick, undo steps in between hold nothing of it, and Esc ends it."""
+    moving_bake(studio, tmp_path)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    told: list[str] = []
+    operator = type("Operator", (delivery_operators._DeliverOperator,), {})()
+    operator.report = lambda kind, text: told.append(text)
+    context: Any = SimpleNamespace(
+        scene=studio.scene, window=object(), window_manager=MagicMock(), workspace=MagicMock()
+    )
+    app = SimpleNamespace(background=False)
+    monkeypatch.setattr(delivery_operators, "bpy", SimpleNamespace(app=app))
+
+    def press(kind: str) -> Any:
+        return operator.modal(context, SimpleNamespace(type=kind, value="PRESS"))
+
+    assert operator.invoke(context, None) == {"RUNNING_MODAL"}
+    assert press("TIMER") == {"RUNNING_MODAL"}
+    assert press("MOUSEMOVE") == {"PASS_THROUGH"}
+    assert delivery_operators.running is not None
+    assert delivery_operators.running.done == 2
+    assert len(bpy.data.scenes) == 1
+    assert press("ESC") == {"CANCELLED"}
+    assert told == ["Stopped. Nothing was changed."]
+    assert delivery_operators.running is None
+    assert sorted(path.name for path in tmp_path.iterdir()) == names
+    assert operator.invoke(context, None) == {"RUNNING_MODAL"}
+    assert [press("TIMER") for _ in range(4)][-1] == {"FINISHED"}
+    assert "Frames 1 to 4, 4 shapes" in told[-1]
 
 
 def test_operator_reports_size_and_time(
