@@ -18,6 +18,7 @@ import pytest
 from tactile_clay.clay_addon import delivery_operators
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.cache import Cache, Frame
+from tactile_clay.clay_addon.clay_points import ABSENT, SCULPTED_MARK
 from tactile_clay.clay_addon.delivery import DeliveryError, deliver
 from tactile_clay.clay_addon.delivery_files import FrameWriter
 from tactile_clay.clay_addon.delivery_object import delivered_object, remove_delivery
@@ -293,6 +294,40 @@ def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
     with pytest.raises(DeliveryError, match=r"Frame 3 is missing in the bake\. Press Resume"):
         deliver(bpy.context)
     assert not (tmp_path / "gap" / "clay_delivery").exists()
+
+
+def test_sculpted_clay_is_not_delivered_as_its_bake(studio: Any, tmp_path: Path) -> None:
+    """Say so where the clay no longer plays its bake, but deliver what is keyed all the same."""
+    moving_bake(studio, tmp_path)
+    clay = studio.scene.objects["Clay"]
+    clay.data[SCULPTED_MARK] = True
+    with pytest.raises(DeliveryError, match="sculpted since it was baked"):
+        deliver(bpy.context)
+    studio.scene.frame_set(1)
+    bpy.ops.clay.pose_key()
+    result = deliver(bpy.context)
+    assert result is not None
+    assert result.shapes == 1
+
+
+def test_particles_that_are_absent_are_left_out(studio: Any, tmp_path: Path) -> None:
+    """Points that stand for clay which is not there yet make neither surface nor particles."""
+    frames = moving_bake(studio, tmp_path)
+    clay = studio.scene.objects["Clay"]
+    clay.data.attributes.new(ABSENT, "BOOLEAN", "POINT")
+    cache = Cache(tmp_path / "clay_cache")
+    meta = cache.meta()
+    frame = cache.read_frame(4)
+    positions = frames[4].copy()
+    positions[:14] = positions[14]
+    cache.write_frame(Frame(4, positions, frame.velocities, frame.inputs), meta)
+    result = deliver(bpy.context)
+    assert result is not None
+    assert result.particle_count == 50
+    studio.scene.frame_set(4)
+    item = studio.scene.objects["Clay Delivery"]
+    mesh = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    assert len(mesh.vertices) == expected(np.unique(positions, axis=0))["vertices"]
 
 
 def test_escape_in_a_window_changes_nothing(
