@@ -17,6 +17,7 @@ from bpy.app.handlers import persistent
 
 from .look import MODIFIER_NAME
 from .look_material import clay_material
+from .poses import pose_modifier
 from .surface_mesh import fill_surface_mesh
 from .surface_worker import Part, SurfaceWorker
 
@@ -198,6 +199,9 @@ def sweep(scene: bpy.types.Scene | None) -> None:
             modifier = clay.modifiers.get(MODIFIER_NAME)
             if modifier is not None:
                 modifier.show_viewport = before["surface"]
+            keyed = pose_modifier(clay)
+            if keyed is not None:
+                keyed.show_viewport = before["poses"]
             for name in before["seen"]:
                 layer = scene.view_layers.get(name)
                 if layer and clay.name in layer.objects:
@@ -211,14 +215,17 @@ def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
         return
     modifier = clay.modifiers.get(MODIFIER_NAME)
     layers = [layer for layer in scene.view_layers if clay.name in layer.objects]
+    keyed = pose_modifier(clay)
     before = {
         "surface": modifier is not None and modifier.show_viewport,
+        "poses": keyed is not None and keyed.show_viewport,
         "seen": [layer.name for layer in layers if not clay.hide_get(view_layer=layer)],
         "selected": [layer.name for layer in layers if clay.select_get(view_layer=layer)],
     }
     clay[_BEFORE] = json.dumps(before)
-    if modifier is not None:
-        modifier.show_viewport = False
+    for each in (modifier, keyed):
+        if each is not None:
+            each.show_viewport = False
 
 
 def _hide(item: bpy.types.Object, scene: bpy.types.Scene | None, hidden: bool) -> None:
