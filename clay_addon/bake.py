@@ -26,6 +26,7 @@ from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
 from .clay_points import SCULPTED_MARK, write_colors
+from .delivery_object import delivered_object
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
@@ -176,6 +177,11 @@ def bake_steps(
     it does the same. The scene's frame is put back either way.
     """
     scene = context.scene
+    # Not above: the session knows of bakes too.
+    from .sculpt import session
+
+    if session.current is not None:
+        raise BakeError("The clay is being sculpted. Press Finish, or Esc in the 3D view, first.")
     began = time.perf_counter()
     default_start, default_end = frame_range(scene)
     start = default_start if start is None else start
@@ -352,8 +358,9 @@ def _note_diagnostics(simulation: Simulation, tally: _Tally) -> None:
     figures = simulation.solver.diagnostics()
     tally.volume_errors.append(figures.volume_error)
     tally.penetrations.append(figures.max_penetration)
-    tally.overflow = figures.overflow
-    tally.quarantined = figures.quarantined
+    # Edits have the solver built anew, which counts from 0 again.
+    tally.overflow = max(tally.overflow, figures.overflow)
+    tally.quarantined = max(tally.quarantined, figures.quarantined)
 
 
 def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:
@@ -375,6 +382,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
         for item in clay_objects(scene)
         if is_packed(item)
     ]
+    played = delivered_object(scene)
+    if played is not None:
+        warnings.append(
+            f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
+            "Show Clay Again, to see this bake."
+        )
     scale = scene.unit_settings.scale_length
     pull = scene.gravity.length * scale
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:

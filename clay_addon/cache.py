@@ -241,8 +241,13 @@ class Cache:
         """
         write_whole(self._meta_path, lambda file: file.write(meta.to_json().encode()))
 
-    def write_frame(self, frame: Frame, meta: Meta) -> None:
+    def write_frame(self, frame: Frame, meta: Meta, *, lasting: bool = True) -> None:
         """Write one frame.
+
+        Args:
+            frame: What to write.
+            meta: The bake's.
+            lasting: Whether to wait until the disk has it.
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
@@ -256,6 +261,7 @@ class Cache:
                 "positions": np.ascontiguousarray(frame.positions, np.float32),
                 "velocities": np.ascontiguousarray(frame.velocities, np.float32),
             },
+            lasting=lasting,
         )
 
     def write_checkpoint(

@@ -113,7 +113,7 @@ def _parse(argv: Sequence[str]) -> _Options:
 
 def _make(options: _Options, progress: _Progress) -> list[str]:
     """Make everything, and return what to tell about it."""
-    from . import kindergarten, register
+    from . import kindergarten, register, scene_stage
     from .bake import BakeProgress, bake
     from .export import clay_surface, write_mesh
     from .pack import pack_bake
@@ -172,7 +172,7 @@ def _make(options: _Options, progress: _Progress) -> list[str]:
         "scene": "kindergarten",
         "particles": count,
         "frames": result.end + 1 - result.start,
-        "frames_per_second": kindergarten.FRAMES_PER_SECOND,
+        "frames_per_second": scene_stage.FRAMES_PER_SECOND,
         "device": result.device,
         "settings": result.settings,
         "spacing_m": kindergarten.SPACING,

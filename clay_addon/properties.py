@@ -1,44 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
-import zlib
 from typing import Any
 
 import bpy
 
-from ..solver.material import Material
-
-CUSTOM = "CUSTOM"
-
-_MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
-
-
-def _preset_items() -> list[tuple[str, str, str, str, int]]:
-    # A .blend keeps the number, so it must stay the same when presets come and go.
-    items = [(CUSTOM, "Custom", "Values of your own", "NONE", 0)]
-    for name in Material.preset_names():
-        label = name.replace("_", " ").capitalize()
-        material = Material.preset(name)
-        description = f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
-        items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
-    return items
-
-
-PRESET_ITEMS = _preset_items()
-PRESET_DEFAULT = "plasticine"
-
+from .material_presets import (
+    CUSTOM,
+    MISSING,
+    PRESET_DEFAULT_NUMBER,
+    find_material,
+    object_items,
+    scene_items,
+)
+from .user_materials import MATERIAL_VALUES
 
 _filling = False
 
 
 def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
     global _filling
-    if properties.material_preset == CUSTOM:
+    name = properties.material_preset
+    if name == CUSTOM or name.startswith(MISSING):
         return
-    material = Material.preset(properties.material_preset)
+    material = find_material(name)
     _filling = True
     try:
-        for name in _MATERIAL_VALUES:
+        for name in MATERIAL_VALUES:
             setattr(properties, name, getattr(material, name))
     finally:
         _filling = False
@@ -47,6 +35,12 @@ def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
 def _become_custom(properties: Any, context: bpy.types.Context) -> None:
     if not _filling and properties.material_preset != CUSTOM:
         properties.material_preset = CUSTOM
+
+
+def _show_held(properties: Any, context: bpy.types.Context) -> None:
+    from .playback import refresh
+
+    refresh(properties.id_data)
 
 
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
@@ -85,8 +79,8 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What the clay is made of; choosing one fills in the values below",
-        items=PRESET_ITEMS,
-        default=PRESET_DEFAULT,
+        items=object_items,
+        default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
     )
     density: bpy.props.FloatProperty(
@@ -192,8 +186,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What new clay is made of",
-        items=[item for item in PRESET_ITEMS if item[0] != CUSTOM],
-        default=PRESET_DEFAULT,
+        items=scene_items,
+        default=PRESET_DEFAULT_NUMBER,
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
@@ -236,6 +230,27 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_cache",
     )
+    delivery_directory: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder of the delivered files; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        default="//clay_delivery",
+    )
+    delivery_kind: bpy.props.EnumProperty(
+        name="Format",
+        description="What is written, and played in place of the clay",
+        items=(
+            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+        ),
+        default="usd",
+    )
+    delivery_points: bpy.props.BoolProperty(
+        name="Particles Too",
+        description="Write the particles beside the surface, for other programs (USD only)",
+        default=False,
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Scene Range",
         description="Bake the frame range of the scene",
@@ -245,6 +260,17 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         name="Start", description="First frame: the clay as it was made", default=1
     )
     frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
+    hold_frames: bpy.props.IntProperty(
+        name="Hold",
+        description=(
+            "Frames that each simulated shape is held for: 1 shows all, 2 animates on twos. The "
+            "simulation itself stays as it is"
+        ),
+        default=1,
+        min=1,
+        soft_max=8,
+        update=_show_held,
+    )
 
 
 def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
@@ -253,6 +279,18 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     if properties.use_scene_range:
         return scene.frame_start, scene.frame_end
     return properties.frame_start, properties.frame_end
+
+
+def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
+    """The frame whose shape is shown at another one, where each is held for some frames.
+
+    Args:
+        scene: Its setting counts.
+        number: The frame at which it is shown.
+        first: The first frame of the bake.
+    """
+    hold = scene.tactile_clay.hold_frames
+    return first + (number - first) // hold * hold
 
 
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)

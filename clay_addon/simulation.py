@@ -20,7 +20,7 @@ from ..solver.material import Material
 from ..solver.polar import rotation_and_stretch
 from ..solver.settings import Settings
 from .cache import ClaySlice
-from .collider import ColliderError, resolve_kind
+from .collider import TAKE_TOOL, ColliderError, resolve_kind
 from .hand import hand_objects
 from .hand_motion import HandState, MovingHand
 from .hand_reading import HandError
@@ -621,8 +621,15 @@ def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
 def _simulated(
     objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
 ) -> list[bpy.types.Object]:
-    """Those that take part: a bake refuses what is switched off, as it may be so by mistake."""
-    return [item for item in objects if not (live and is_switched_off(item, depsgraph))]
+    """Those that take part: a bake refuses what is switched off, as it may be so by mistake.
+
+    Live, what a tool did in an earlier take is felt no more.
+    """
+    return [
+        item
+        for item in objects
+        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
+    ]
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:

@@ -18,13 +18,14 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ..collider import TAKE_TOOL
 from ..hand import hand_objects, make_hand, scene_spacing
-from ..hand_reading import HandError
+from ..hand_reading import HandError, hand_armature
 from ..hand_store import load_hand, stored_spacing
 from ..look import MODIFIER_NAME, add_look, get_input, set_input
 from ..make_clay import ClayError, fill_pieces, make_point_cloud
 from ..preferences import missing_parts
-from ..simulation import clay_objects
+from ..simulation import clay_objects, collider_objects
 from ..surface import SurfaceError, reconstruct
 from .film_edits import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
@@ -91,6 +92,7 @@ def make_film(
     properties = film.tactile_clay
     properties.substeps = substeps
     properties.hands_give_way = True
+    properties.record_take = False
     if not known:
         base = source.tactile_clay.cache_directory.rstrip("/\\")
         properties.cache_directory = f"{_TAKE.sub('', base)}_film"
@@ -147,6 +149,9 @@ def _furnish(
         and item.animation_data is not None
         and item.animation_data.action is not None
     ]
+    moving += [item for item in collider_objects(source) if TAKE_TOOL in item]
+    # Their armatures, too, where no take moved them: tracking would do so some day.
+    moving += [hand_armature(hand) for hand in hands]
     made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
     edits = take_edits(source)
     room = room_for(edits, spacing * source.unit_settings.scale_length)

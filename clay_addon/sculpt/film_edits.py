@@ -17,13 +17,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clay_points import ABSENT
 from ..simulation import clay_colors, read_points
 from .edits import Edit, EditKind, apply_edit
 from .take_files import Edit as TakeEdit
 from .take_frames import nearest
 
-ABSENT = "clay_absent"
-"""Attribute of points that are not there yet when the bake begins."""
 FIRST_COLOR = "clay_first_color"
 """Attribute that keeps the colours at the beginning; those that are shown are of the end."""
 _SPARE = 1.25

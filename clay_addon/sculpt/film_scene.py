@@ -16,6 +16,8 @@ def copy_scene(source: bpy.types.Scene, name: str) -> bpy.types.Scene:
     """Copy a scene's settings, and link its collections and objects into the copy."""
     scene = source.copy()
     scene.name = name
+    # Else a copy has no user, and is not saved.
+    scene.use_fake_user = True
     return scene
 
 

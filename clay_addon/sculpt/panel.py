@@ -7,7 +7,7 @@ import bpy
 
 from ..preferences import draw_text
 from ..simulation import clay_objects
-from . import session
+from . import autosave, session
 from .header import draw_brush
 
 
@@ -23,32 +23,39 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
         """Draw the panel."""
         layout = self.layout
         running = session.current
+        properties = context.scene.tactile_clay
+        if autosave.message:
+            draw_text(layout.box(), autosave.message, icon="RECOVER_LAST")
         if running is None:
             column = layout.column()
-            column.enabled = bool(clay_objects(context.scene))
+            clay = clay_objects(context.scene)
+            column.enabled = bool(clay)
             column.scale_y = 1.3
             column.operator("clay.sculpt", icon="SCULPTMODE_HLT")
             if session.first:
                 layout.operator("clay.sculpt_revert", icon="LOOP_BACK")
+            row = layout.row(align=True)
+            row.prop(properties, "record_take", icon="REC")
+            row.operator("clay.take_recover", text="", icon="RECOVER_LAST")
+            if any(item.tactile_clay.take_start is not None for item in clay):
+                layout.operator("clay.bake_again", icon="RENDER_ANIMATION")
         else:
             column = layout.column()
             column.scale_y = 1.3
             column.operator("clay.sculpt_finish", icon="CHECKMARK")
-            draw_text(layout, real_time_text(running.factor), icon="TIME")
+            draw_text(layout, speed_text(running), icon="TIME")
+            for message in running.messages:
+                draw_text(layout.box(), message, icon="INFO")
         draw_brush(layout.column(), context.scene.tactile_clay_sculpt, compact=False)
 
 
-def real_time_text(factor: float) -> str:
-    """How fast simulated time goes by, in words; empty before any has.
-
-    Args:
-        factor: Simulated time over that of the clock.
-    """
-    if factor <= 0.0:
+def speed_text(running: session.SculptSession) -> str:
+    """How fast simulated time goes by, in words."""
+    if not running.pace.started:
         return "Getting ready …"
-    if factor > 0.95:
+    if running.factor > 0.95:
         return "Real time"
-    return f"{factor:.0%} of real time"
+    return f"{running.factor:.0%} of real time"
 
 
 def register() -> None:

@@ -97,6 +97,8 @@ class SculptSession:
         self.positions = np.zeros((0, 3), np.float32)
         """Where all particles are seen, world [Blender units], shape [N, 3]."""
         self._kept = self.positions
+        self.felt = 0.0
+        """Force of the clay on the hands [N]."""
         self._closing = ExitStack()
         self._surface: LiveSurface | None = None
         self._take = SessionTake(wanted=context.scene.tactile_clay.record_take)
@@ -201,8 +203,10 @@ class SculptSession:
         if self._surface is None:
             self._open_surface(context)
         else:
-            with self.budget.measured("surface"):
-                news = self._surface.show() or news
+            began = time.perf_counter()
+            if self._surface.show():
+                self.budget.took("surface", time.perf_counter() - began)
+                news = True
         if self._changed:
             self.autosave.now_and_then(scene, self._clock())
         return news
@@ -250,8 +254,8 @@ class SculptSession:
         self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
-        felt = any(contacts.forces.any() for contacts in stepped.contacts)
-        if felt or (stepped.tool_force and self.tools.stroking):
+        self.felt = sum(float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts)
+        if self.felt or (stepped.tool_force and self.tools.stroking):
             self._touched_at = self._clock()
 
     def _show(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
@@ -416,14 +420,19 @@ class SculptSession:
             context: None where Blender's data is no longer this session's, as while a file loads.
         """
         with self._closing:
-            self._worker.wait()
+            # Kernels that are being compiled are not waited for: nothing was done yet.
+            if self.pace.started:
+                self._worker.wait()
             scene = None
             try:
                 scene = self._scene(context) if context is not None else None
                 if scene is not None:
                     # What is kept is the clay itself, and not what stands for it.
                     self._close_surface()
-                    stepped = self._worker.take()
+                    stepped = None
+                    # What went wrong in the last step is told by `tick`.
+                    with suppress(Exception):
+                        stepped = self._worker.take()
                     if stepped is not None and np.isfinite(stepped.positions).all():
                         self._show(scene, stepped)
                     if self._touched_at is not None or self._moved() > _FAR * self.spacing:

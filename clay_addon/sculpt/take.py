@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from ..bake_checks import BakeError, owner_of, resolve_directory
 from ..cache import Cache, CacheError, Meta
 from ..preferences import ADDON_VERSION
-from ..simulation import Simulation, frames_per_second
+from ..simulation import Simulation, clay_colors, frames_per_second
 from .take_files import (
     Layout,
     Steps,
@@ -160,7 +161,7 @@ class TakeRecorder:
             key = tool.vertices.tobytes() + tool.faces.tobytes() + repr(tool.friction).encode()
             if key not in self._tool_numbers:
                 number = self._tool_numbers[key] = len(self._tool_numbers)
-                self._write(lambda n=number, t=tool: write_tool(self.directory, n, t))
+                self._write(partial(write_tool, self.directory, number, tool))
             numbers.append(self._tool_numbers[key])
         if tuple(numbers) != self._layout.tools:
             self._change(replace(self._layout, tools=tuple(numbers)))
@@ -299,8 +300,9 @@ class TakeRecorder:
         self._write(write)
         self._frames.tell_end()
 
-    def _write(self, task: Any) -> None:
-        self._writer.do(task)
+    def _write(self, task: Callable[[], None]) -> None:
+        # Before the frames that wait: those can be made anew.
+        self._writer.do(task, first=True)
 
     # The end ------------------------------------------------------------------------------------
 
@@ -327,7 +329,7 @@ class TakeRecorder:
         self._flush()
         self._frames.last(self.seconds, self._positions)
         header = replace(self.header, seconds=self.seconds)
-        colors = self._colors
+        colors = self._colors_shown(scene)
         self._write(lambda: write_header(self.directory, header))
         self._write(lambda: Cache(self.directory).write_colors(colors))
         try:
@@ -341,6 +343,13 @@ class TakeRecorder:
             raise TakeError("Nothing was recorded: the clay never moved on.")
         stored = store_take(scene, self.directory, unwritten=self._unwritten)
         return stored._replace(warnings=(*self.warnings, *stored.warnings))
+
+    def _colors_shown(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
+        """Colours of all particles as they were painted last, shape [N, 4]."""
+        items = [scene.objects.get(name) for name, _, _ in self.header.clay]
+        parts = [clay_colors(item) for item in items if item is not None]
+        colors = np.concatenate([np.zeros((0, 4), np.float32), *parts])
+        return colors if len(colors) == len(self._colors) else self._colors
 
 
 def free_directory(scene: bpy.types.Scene) -> Path:

@@ -134,7 +134,9 @@ class TakeFrames:
         def write() -> None:
             way = after - before
             velocities = way / np.float32(duration) if duration else np.zeros_like(way)
-            cache.write_frame(Frame(number, before + np.float32(share) * way, velocities), meta)
+            frame = Frame(number, before + np.float32(share) * way, velocities)
+            # A power cut may take it: it can be made anew.
+            cache.write_frame(frame, meta, lasting=False)
 
         self._writer.do(write)
 

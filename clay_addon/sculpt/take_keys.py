@@ -15,13 +15,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collider import TAKE_TOOL
 from ..keyed_channels import CONSTANT, Channel, needed, write_channels
 from ..tracking.armature import CONTACT_PROPERTY
 from .take_files import Layout, Steps, Take, ToolShape, frame_count
 
 TOOL_COLLECTION = "Take Tools"
-_TAKE_MARK = "clay_take_tool"
-"""Custom property of the tools of takes, so that the next take replaces them."""
 _NUMERIC_NOISE = 1e-6
 
 
@@ -244,7 +243,7 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
     scale = scene.unit_settings.scale_length
     mesh.from_pydata((tool.vertices / scale).tolist(), [], tool.faces.tolist())
     item = bpy.data.objects.new(name, mesh)
-    item[_TAKE_MARK] = True
+    item[TAKE_TOOL] = True
     # The film shows what the tool does, as the session did.
     item.hide_render = True
     item.display_type = "WIRE"
@@ -258,12 +257,12 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
 def _tool_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     """The collection of tools, without those of an earlier take."""
     for collection in scene.collection.children:
-        if collection.get(_TAKE_MARK):
+        if collection.get(TAKE_TOOL):
             for item in list(collection.objects):
-                if item.get(_TAKE_MARK):
+                if item.get(TAKE_TOOL):
                     bpy.data.objects.remove(item)
             return collection
     collection = bpy.data.collections.new(TOOL_COLLECTION)
-    collection[_TAKE_MARK] = True
+    collection[TAKE_TOOL] = True
     scene.collection.children.link(collection)
     return collection

@@ -19,7 +19,8 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
 
     bl_idname = "clay.bake_again"
     bl_label = "Bake Again"
-    bl_options = {"REGISTER"}
+    # Not REGISTER: doing it over would delete what is being baked.
+    bl_options = {"UNDO"}
 
     spacing: bpy.props.FloatProperty(
         name="Spacing",
@@ -63,11 +64,17 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
         finally:
             if window is not None and not bpy.app.background:
                 window.cursor_modal_restore()
-        if window is None:
-            with context.temp_override(scene=film, view_layer=film.view_layers[0]):
-                return bpy.ops.clay.bake()
-        window.scene = film
-        return bpy.ops.clay.bake("INVOKE_DEFAULT")
+        try:
+            if window is None:
+                with context.temp_override(scene=film, view_layer=film.view_layers[0]):
+                    bpy.ops.clay.bake()
+            else:
+                window.scene = film
+                bpy.ops.clay.bake("INVOKE_DEFAULT")
+        except RuntimeError as error:
+            # The scene stays, for Bake to be pressed there when what is wrong has been put right.
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        return {"FINISHED"}
 
 
 class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801

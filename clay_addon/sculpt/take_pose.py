@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collider import TAKE_TOOL
 from ..hand import hand_objects
 from ..simulation import collider_objects, is_enabled
 from ..tracking.armature import CONTACT_PROPERTY
@@ -36,7 +37,7 @@ def followed(scene: bpy.types.Scene, tools: tuple[int, ...] = ()) -> Layout:
         tools: Numbers of the tools in the mouse.
     """
     found: dict[str, bpy.types.Object] = {}
-    colliders = collider_objects(scene)
+    colliders = [item for item in collider_objects(scene) if TAKE_TOOL not in item]
     pending: list[bpy.types.Object] = [*hand_objects(scene), *colliders]
     while pending:
         item = pending.pop(0)

@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-import queue
 import threading
+from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 
 from ..cache import CacheError
 
 
 class TakeWriter:
-    """Writes one thing after the other, in the order they were handed over.
+    """Writes one thing after the other.
 
     What cannot be written is tried again when the next thing comes, and at the end: a disk that was
     full for a while costs nothing but memory.
@@ -21,15 +20,24 @@ class TakeWriter:
     def __init__(self) -> None:
         self.problem = ""
         """Why nothing can be written at the moment; empty where all is well."""
-        self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._waiting: list[Callable[[], None]] = []
         self._lost = ""
+        self._first: deque[Callable[[], None]] = deque()
+        self._others: deque[Callable[[], None]] = deque()
+        self._closing = False
+        self._news = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="clay-take", daemon=True)
         self._thread.start()
 
-    def do(self, task: Callable[[], None]) -> None:
-        """Hand over something that writes; it may raise a CacheError, and is then tried again."""
-        self._tasks.put(task)
+    def do(self, task: Callable[[], None], *, first: bool = False) -> None:
+        """Hand over something that writes.
+
+        Args:
+            task: May raise a CacheError, and is then tried again.
+            first: Whether it goes before all others that wait, but for those that are first, too.
+        """
+        with self._news:
+            (self._first if first else self._others).append(task)
+            self._news.notify()
 
     def close(self) -> None:
         """Write what is left and end the thread.
@@ -37,30 +45,37 @@ class TakeWriter:
         Raises:
             CacheError: Some of it cannot be written.
         """
-        self._tasks.put(None)
+        with self._news:
+            self._closing = True
+            self._news.notify()
         self._thread.join()
-        if self._waiting or self._lost:
+        if self._first or self._others or self._lost:
             raise CacheError(self._lost or self.problem)
 
     def _run(self) -> None:
         while True:
-            task = self._tasks.get()
-            if task is not None:
-                self._waiting.append(task)
-            with suppress(CacheError):
-                while self._waiting:
-                    self._write(self._waiting[0])
-                    del self._waiting[0]
-            if task is None:
+            with self._news:
+                # What was refused waits for the next thing, or for the end.
+                if not self._closing and (self.problem or not (self._first or self._others)):
+                    self._news.wait()
+                closing = self._closing
+            self.problem = self._lost
+            while self._first or self._others:
+                waiting = self._first or self._others
+                if not self._write(waiting[0]):
+                    break
+                waiting.popleft()
+            if closing and (self.problem or not (self._first or self._others)):
                 return
 
-    def _write(self, task: Callable[[], None]) -> None:
+    def _write(self, task: Callable[[], None]) -> bool:
         try:
             task()
         except CacheError as error:
             self.problem = str(error)
-            raise
+            return False
         except Exception as error:
             # Nothing may end the thread, or hold up what follows, or all of that would be lost.
             self._lost = f"A part of the take was not written ({type(error).__name__}: {error})."
-        self.problem = self._lost
+            self.problem = self._lost
+        return True

@@ -6,6 +6,9 @@ from typing import Any
 
 import pytest
 
+from tactile_clay.clay_addon.tracking.recording import Recorder
+from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+
 STEPS = (Path(__file__).parent / "window_steps.py").read_text(encoding="utf-8")
 COMMON = """
 import importlib
@@ -169,6 +172,7 @@ def steps():
     # Another file in the middle of it.
     bpy.ops.wm.open_mainfile(filepath=ARGUMENTS[0])
     yield 0.5
+    yield lambda: not threads()
     print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
@@ -195,6 +199,7 @@ def steps():
     # The extension switched off in the middle of it.
     bpy.ops.preferences.addon_disable(module=MODULE)
     yield 0.5
+    yield lambda: not threads()
     print("OFF", sessions.current, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
     globals()["sessions"] = importlib.import_module(MODULE + ".clay_addon.sculpt.session")
@@ -203,7 +208,100 @@ def steps():
     yield moves
     bpy.data.objects.remove(clay())
     yield lambda: sessions.current is None
+    yield lambda: not threads()
     print("NO CLAY LEFT", threads(), flush=True)
+
+run(steps())
+"""
+
+HANDS = """
+def steps():
+    make_block()
+    clay().location.y += 0.08
+    with in_view():
+        assert bpy.ops.clay.hand_add(side="RIGHT") == {"FINISHED"}
+        bpy.ops.view3d.view_all()
+    bpy.context.view_layer.update()
+    properties = bpy.context.scene.tactile_clay_tracking
+    properties.source, properties.recording = "RECORDING", ARGUMENTS[0]
+    live = importlib.import_module(MODULE + ".clay_addon.tracking.live")
+    before = float(points()[:, 2].max())
+    bpy.context.scene.tactile_clay_sculpt.tool = "NONE"
+    with in_view():
+        assert bpy.ops.clay.tracking_start() == {"FINISHED"}
+    yield lambda: live.session.hand("right") is not None and live.session.hand("right").contact == 1.0
+    start()
+    yield moves
+    yield lambda: sessions.current.felt > 1.0
+    print("FELT", flush=True)
+    yield lambda: before - float(points()[:, 2].max()) > 0.006
+    screenshot(ARGUMENTS[1])
+    print("PRESSED", len(sessions.current.simulation.hands), flush=True)
+    key("ESC")
+    yield lambda: sessions.current is None
+    with in_view():
+        bpy.ops.clay.tracking_stop()
+    print("KEPT", before - float(points()[:, 2].max()) > 0.005, "clay_sculpted" in clay().data)
+
+run(steps())
+"""
+
+NEW_USER = """
+def steps():
+    with in_view():
+        assert bpy.ops.clay.kindergarten_scene_add() == {"FINISHED"}
+    yield 0.5
+    window, area, region = view()
+    area.spaces.active.show_region_ui = True
+    yield 0.5
+    panels = next(r for r in area.regions if r.type == "UI")
+    panels.active_panel_category = "Clay"
+    item = next(i for i in bpy.context.scene.objects if i.tactile_clay.role == "CLAY")
+    name = item.name
+    globals()["clay"] = lambda: bpy.data.objects[name]
+    assert len(item.data.points) == 2114
+    bpy.ops.ed.undo_push(message="Scene")
+    start()
+    yield moves
+    yield after(0.3)
+    before = points()
+    # The top of the piece that stands highest.
+    place = before[before[:, 2].argmax()]
+    move(on_screen(place))
+    yield after(0.05)
+    event("LEFTMOUSE")
+    yield after(0.5)
+    screenshot(ARGUMENTS[0])
+    event("LEFTMOUSE", "RELEASE")
+    yield lambda: clay().data.get("clay_state") == 1
+    pressed = points()
+    near = np.linalg.norm(before - place, axis=1) < 0.012
+    print("PRESSED", float(np.linalg.norm(pressed - before, axis=1)[near].max()) > 0.003, flush=True)
+    # Turning the view with the middle button.
+    rotation = area.spaces.active.region_3d.view_rotation.copy()
+    middle = region.x + region.width // 3, region.y + region.height // 3
+    move(middle)
+    event("MIDDLEMOUSE")
+    for step in range(6):
+        move((middle[0] + 15 * step, middle[1]))
+        yield 0.1
+    event("MIDDLEMOUSE", "RELEASE")
+    region_3d = area.spaces.active.region_3d
+    yield lambda: region_3d.view_rotation.rotation_difference(rotation).angle > 0.05
+    print("TURNED", sessions.current is not None, flush=True)
+    key("Z", ctrl=True)
+    yield lambda: clay().data.get("clay_state") is None
+    yield after(0.1)
+    print("UNDONE", float(np.abs(points() - before).max()) < 0.003, flush=True)
+    key("Z", ctrl=True, shift=True)
+    yield lambda: clay().data.get("clay_state") == 1
+    yield after(0.1)
+    print("REDONE", float(np.abs(points() - pressed).max()) < 0.003, flush=True)
+    bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[1])
+    key("ESC")
+    yield lambda: sessions.current is None
+    screenshot(ARGUMENTS[2])
+    print("STANDS FOR IT", [i.name for i in bpy.data.objects if "Live" in i.name], flush=True)
 
 run(steps())
 """
@@ -263,3 +361,31 @@ def test_a_session_ends_cleanly_whatever_happens_to_it(
     assert "CLAY CAME AND WENT" in result.output
     assert "OFF None [] False" in result.output, result.output
     assert "NO CLAY LEFT []" in result.output
+
+
+def test_a_tracked_hand_presses_the_clay(window: Any, blender_with_extension: Any) -> None:
+    """Play a recorded hand to the session from another process, and let it flatten a block."""
+    folder = blender_with_extension.folder
+    recording, picture = folder / "press.jsonl", folder / "hand.png"
+    recorder = Recorder(recording)
+    for number in range(600):
+        height = 0.16 - 0.14 * min(1.0, max(0.0, (number - 50) / 400))
+        frame = frame_at(number, number, at=(0.0, height, 0.0))
+        recorder.take(frame, number * 10 * MILLISECOND)
+    recorder.close()
+    result = window(HANDS, recording, picture)
+    assert result.exit_code == 0, result.output
+    assert "PRESSED 1" in result.output, result.output
+    assert "FELT" in result.output, result.output
+    assert "KEPT True True" in result.output, result.output
+
+
+def test_a_new_user_sculpts_the_kindergarten(window: Any, blender_with_extension: Any) -> None:
+    """Add the scene, press a piece, turn the view meanwhile, undo, redo, save and finish."""
+    folder = blender_with_extension.folder
+    file = folder / "kindergarten.blend"
+    result = window(NEW_USER, folder / "pressing.png", file, folder / "done.png")
+    assert result.exit_code == 0, result.output
+    for line in ("PRESSED True", "TURNED True", "UNDONE True", "REDONE True", "STANDS FOR IT []"):
+        assert line in result.output, result.output
+    assert file.is_file()

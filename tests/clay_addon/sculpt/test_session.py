@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from tactile_clay.clay_addon import playback
-from tactile_clay.clay_addon.bake import bake
+from tactile_clay.clay_addon.bake import BakeError, bake
 from tactile_clay.clay_addon.clay_points import is_sculpted
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.edits import Edit
@@ -217,6 +217,18 @@ def test_a_bake_no_longer_shows_over_sculpted_clay(studio: Any, sculpting: Sculp
     studio.scene.frame_set(1)
     assert not playback.message(studio.scene)
     np.testing.assert_allclose(studio.points(clay), shape, atol=1e-6)
+
+
+def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpting) -> None:
+    """Refuse a bake while the clay is sculpted, and leave the clay alone when the frame changes."""
+    clay = studio.scene.objects["Clay"]
+    with pytest.raises(BakeError, match="being sculpted"):
+        bake(bpy.context, end=3)
+    sculpting.run(0.1)
+    sculpting.press(0.025)
+    shape = studio.points(clay)
+    studio.scene.frame_set(2)
+    np.testing.assert_array_equal(studio.points(clay), shape)
 
 
 def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_path: Path) -> None:

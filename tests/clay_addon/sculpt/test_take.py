@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import bpy
@@ -18,6 +17,7 @@ from tactile_clay.clay_addon import cache_files
 from tactile_clay.clay_addon.bake_checks import resolve_directory
 from tactile_clay.clay_addon.cache import Cache, CacheError
 from tactile_clay.clay_addon.sculpt.edits import Edit
+from tactile_clay.clay_addon.sculpt.settings import ToolMesh
 from tactile_clay.clay_addon.sculpt.take import TakeError, TakeRecorder
 from tactile_clay.clay_addon.sculpt.take_files import read_take
 from tactile_clay.clay_addon.sculpt.take_store import store_take, take_edits, take_start
@@ -120,8 +120,9 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
     studio.scene.unit_settings.scale_length = 0.5
     loop = Loop(studio.scene)
     shape = ball(0.01)
-    small = SimpleNamespace(vertices=shape.vertices, faces=shape.faces, friction=0.3)
-    never = SimpleNamespace(vertices=2 * shape.vertices, faces=shape.faces, friction=0.3)
+    faces = np.asarray(shape.faces, np.int32)
+    small = ToolMesh(np.asarray(shape.vertices), faces, 0.3)
+    never = ToolMesh(2.0 * np.asarray(shape.vertices), faces, 0.3)
     for number in range(1, 13):
         loop.recorder.use_tools([small] if number < 10 else [never])
         pose = np.eye(4)
@@ -140,6 +141,15 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
             height = 2.0 * (0.3 - 0.01 * (frame - 1))
             assert tool.matrix_world.translation.z == pytest.approx(height, abs=1e-5)
     assert felt == [4 <= frame < 11 for frame in range(1, 14)]
+    # The next session feels nothing of it, and the next take replaces it.
+    studio.scene.frame_set(6)
+    again = Loop(studio.scene)
+    assert again.simulation.solver is not None
+    assert len(again.simulation.solver.scene.meshes) == 0
+    again.recorder.use_tools([small])
+    again.step(tools=[(np.eye(4), True)])
+    (other,) = again.finish().objects
+    assert [item.name for item in bpy.data.collections["Take Tools"].objects] == [other]
 
 
 def test_undone_strokes_are_not_in_the_take(studio: Any, tmp_path: Path) -> None:
@@ -201,7 +211,7 @@ def test_full_disk_costs_nothing_but_the_clays_frames(
     loop = Loop(studio.scene)
     record_press(loop, item, 0.1)
 
-    def refuse(path: Path, *_: object) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
         raise CacheError(f"The disk is full: {path.name} could not be written.")
 
     monkeypatch.setattr(cache_files, "write_whole", refuse)
@@ -264,7 +274,9 @@ for number in range(1, 10_000):
     item.matrix_world = press(number * STEP)
     loop.step()
     if number == 150:
-        time.sleep(0.5)
+        # The disk may be slow.
+        while not all((loop.recorder.directory / name).exists() for name in {names!r}):
+            time.sleep(0.01)
         print("on", flush=True)
 """
 
@@ -273,7 +285,7 @@ def test_killed_take_is_read_up_to_its_last_seconds(studio: Any, tmp_path: Path)
     """Key what was on the disk when the process was killed, clay and tools alike."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     blend = str(tmp_path / "scene.blend")
-    code = _KILLED.format(blend=blend)
+    code = _KILLED.format(blend=blend, names=("take_000000.npz", "frame_000121.npz"))
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
@@ -286,7 +298,7 @@ def test_killed_take_is_read_up_to_its_last_seconds(studio: Any, tmp_path: Path)
     folder = tmp_path / "clay_cache_take_001"
     take = read_take(folder)
     assert take.header.seconds is None
-    assert 2.0 <= take.seconds <= 2.6
+    assert take.seconds >= 2.0
     stored = store_take(studio.scene, folder)
     assert stored.last - 1 == pytest.approx(60 * take.seconds, abs=1.0)
     for frame in (1, 60, 120):
