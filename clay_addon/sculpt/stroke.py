@@ -53,6 +53,7 @@ class Stroke:
         x: From the region's left edge [pixels].
         y: From its lower edge [pixels].
         sole: How far the tool reaches sideways [m]; the brush's radius where that is more.
+        pressure: Of the pen, 0 to 1; 1 for a mouse.
 
     Raises:
         LookupError: There is no clay in front of the eye.
@@ -67,6 +68,7 @@ class Stroke:
         y: float,
         *,
         sole: float = 0.0,
+        pressure: float = 1.0,
     ) -> None:
         self.settings = settings
         self.tool = settings.tool
@@ -96,7 +98,7 @@ class Stroke:
         self.released = False
         """Whether the button is up again."""
         self._queue: deque[Waypoint] = deque()
-        self._pressure = 1.0
+        self._pressure = pressure
         self._extra = 0.0
         self._lingered = 0.0
         self._standing = False

@@ -128,18 +128,14 @@ def test_the_panel_offers_to_start_or_to_finish(
 ) -> None:
     """Show the button that fits, and how fast time goes by."""
     studio.clay()
-    for running, button in (
-        (None, "clay.sculpt"),
-        (SimpleNamespace(factor=0.5), "clay.sculpt_finish"),
-    ):
+    live = SimpleNamespace(factor=0.5, messages=[], pace=SimpleNamespace(started=True))
+    for running, button in ((None, "clay.sculpt"), (live, "clay.sculpt_finish")):
         monkeypatch.setattr(session, "current", running)
         drawn: list[str] = []
         shown: Any = SimpleNamespace(layout=Layout(drawn))
         panel.CLAY_PT_sculpt.draw(shown, bpy.context)
         assert button in drawn
-    assert panel.real_time_text(0.5) == "50% of real time"
-    assert panel.real_time_text(0.99) == "Real time"
-    assert panel.real_time_text(0.0) == "Getting ready …"
+    assert "50% of real time" in drawn
 
 
 def test_a_tool_is_taken_without_an_undo_step(studio: Any) -> None:
