@@ -13,7 +13,8 @@ import numpy as np
 from .delivery_files import COLOR_ATTRIBUTE as FILE_COLOR
 from .delivery_files import FRAMES_FOLDER, POINTS_PATH, ROOT_NAME
 from .keyed_channels import CONSTANT, Channel, write_channels
-from .look import clay_material, set_input
+from .look import set_input
+from .look_material import clay_material
 from .shown_clay import world_spacing
 from .surface_mesh import COLOR_ATTRIBUTE, SPACING_ATTRIBUTE, TEXTURE_ATTRIBUTE
 

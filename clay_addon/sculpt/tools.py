@@ -74,6 +74,7 @@ TOOLS = (
         "anchored",
         "stamp",
         depth=0.8,
+        size=0.5,
     ),
     Tool(
         "KNIFE",
