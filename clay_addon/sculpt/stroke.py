@@ -118,7 +118,8 @@ class Stroke:
         if self.tool.path == "view":
             return 0.0
         deep = self.tool.depth * self.settings.strength * self._pressure
-        return deep * self.settings.radius + self._extra
+        # Fingers close before they pull.
+        return deep * self.settings.radius + (0.0 if self._closing else self._extra)
 
     @property
     def finished(self) -> bool:

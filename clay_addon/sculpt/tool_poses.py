@@ -46,7 +46,7 @@ def part_poses(
     sized = np.diag([radius / made_radius] * 3 + [1.0])
     if settings.tool.path == "view":
         # From any place of the clay to well out of it on either side.
-        return [np.diag([1.0, 1.0, 4.0 * max(extent, radius) / WIRE_LENGTH, 1.0])]
+        return [np.diag([1.0, 1.0, 2.2 * max(extent, radius) / WIRE_LENGTH, 1.0])]
     if settings.tool.path == "pinch":
         away = PINCH_OPEN * radius if gap is None else gap
         return [
