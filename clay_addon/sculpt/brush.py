@@ -116,8 +116,8 @@ class Brush:
             return []
         shown = zip(meshes, self._poses, strict=True)
         drawn = [(mesh, pose, felt) for mesh, (pose, felt) in shown]
-        # Nobody needs to see the plate that holds the clay for a wire.
-        return drawn[::2] if self._settings.tool.path == "view" else drawn
+        # Nobody needs to see the plate that holds the clay for a blade.
+        return drawn[::2] if self._settings.tool.held else drawn
 
     def poses(self, duration: float) -> list[tuple[NDArray[np.float64], bool]]:
         """Where the tool's meshes are after so many seconds, and whether the clay feels them.
@@ -212,7 +212,8 @@ class Brush:
                 self._edit_stroke = EditStroke(*place, inverted=press.ctrl, pressure=press.pressure)
             else:
                 parts, made_radius = self._parts()
-                sole = sole_radius(parts, made_radius) * self._settings.radius / made_radius
+                own = parts[:1] if self._settings.tool.held else parts
+                sole = sole_radius(own, made_radius) * self._settings.radius / made_radius
                 self._stroke = Stroke(*place, sole=sole, pressure=press.pressure)
         except LookupError:
             self._input.held = False
@@ -277,13 +278,14 @@ class Brush:
     ) -> None:
         parts, made_radius = self._parts()
         extent = float(np.ptp(self._positions, axis=0).max()) * self._settings.scale
-        own = part_poses(self._settings, len(parts), made_radius, gap, rolled, extent)
+        count = len(parts) - self._settings.tool.held
+        own = part_poses(self._settings, count, made_radius, gap, rolled, extent)
         self._poses = copy_poses(self._settings, tip, rotation, enabled, own)
-        if self._settings.tool.path == "view":
+        if self._settings.tool.held:
             self._add_fences(enabled)
 
     def _add_fences(self, enabled: bool) -> None:
-        """Hold the clay while a wire cuts it: beside each copy there is a plate, and one holds."""
+        """Hold the clay while it is cut: beside each copy there is a plate, and one holds."""
         direction = None if self._stroke is None else self._stroke.direction
         if self._stroke is None or direction is None:
             plate = np.eye(4)

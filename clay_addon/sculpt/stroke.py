@@ -218,7 +218,7 @@ class Stroke:
         if float(np.linalg.norm(way)) > _DIRECTED * self.settings.radius:
             self._tangent = tangent_of(way, self.base.normal, self._tangent)
             self.direction = way / float(np.linalg.norm(way))
-        elif not self.released and (self._waited < _WAIT or self.tool.path == "view"):
+        elif not self.released and (self._waited < _WAIT or self.tool.held):
             return True
         self._undirected = False
         return False

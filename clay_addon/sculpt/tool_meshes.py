@@ -22,6 +22,8 @@ _WIRE_THICKNESS = 0.9
 def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
     """The meshes of a tool and no copies: two for a pinch, none for an edit.
 
+    One that is held against has a plate after it.
+
     Args:
         settings: What the brush is set to.
 
@@ -42,6 +44,8 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
         vertices = vertices * _PADS
     friction = preset.friction if tool.friction is None else tool.friction
     mesh = ToolMesh(vertices, preset.faces, friction)
+    if tool.held:
+        return [mesh, _fence()]
     return [mesh, mesh] if tool.path == "pinch" else [mesh]
 
 
@@ -54,7 +58,7 @@ def sole_radius(parts: list[ToolMesh], radius: float) -> float:
     """How far a tool reaches sideways near the clay [m].
 
     Args:
-        parts: What `tool_parts` gave.
+        parts: What `tool_parts` gave, without a plate.
         radius: Of the brush that they were made for [m].
     """
     reach = radius
@@ -69,13 +73,13 @@ _preset = lru_cache(load_tool_preset)
 
 def is_aligned(tool: Tool) -> bool:
     """Whether the stroke's direction must be known before a tool meets the clay."""
-    if tool.path == "view":
+    if tool.held:
         return True
     return tool.preset is not None and _preset(tool.preset).align == "stroke"
 
 
 def _fence() -> ToolMesh:
-    """A plate that holds against a wire on the far side of the clay: who cuts, holds.
+    """A plate that holds against a blade on the far side of the clay: who cuts, holds.
 
     A box of 1 m, the middle of its upper side at the origin; its pose sizes it.
     """

@@ -36,7 +36,7 @@ def part_poses(
 
     Args:
         settings: Of the brush.
-        parts: Number of meshes.
+        parts: Number of meshes, without a plate.
         made_radius: The radius that the meshes were made for [m].
         gap: Half the distance of two fingers' axes [m]; wide open where not given.
         rolled: Angle that a tool that rolls has turned about X [rad].
@@ -96,10 +96,10 @@ def fence_pose(
     direction: NDArray[np.float64],
     felt: bool,
 ) -> NDArray[np.float64]:
-    """Where the plate is that holds the clay while a wire is drawn through it, shape [4, 4].
+    """Where the plate is that holds the clay while it is cut, shape [4, 4].
 
-    A wire pushes harder than light clay holds to its table by itself. Tools do not meet each
-    other, so the wire passes through the plate.
+    A blade pushes harder than light clay holds to its table by itself. Tools do not meet each
+    other, so the blade passes through the plate.
 
     Args:
         settings: Of the brush.
