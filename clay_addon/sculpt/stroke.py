@@ -35,6 +35,9 @@ _WAIT = 0.4
 """A tool does not wait longer than this for its direction [s]."""
 PINCH_OPEN = 1.6
 """Half the distance of the axes of two fingers before they close [brush radii]."""
+PINCH_LEAN = np.radians(30.0)
+"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
+comes along when they rise."""
 _PINCH_SPEED = 0.12
 """How fast two fingers close [m/s]."""
 
@@ -203,7 +206,8 @@ class Stroke:
     def closed_gap(self) -> float:
         """Half the distance of two fingers' axes when they hold clay [m]."""
         thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
-        return self.tool.size * self.settings.radius + thin
+        # The fingertips are round, and lean, so they meet above the points that are posed.
+        return self.tool.size * self.settings.radius * (1.0 - np.sin(PINCH_LEAN)) + thin
 
     @property
     def _closing(self) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from .mirror import mirror_matrices, snap_to_planes, used_copies
 from .rigid import frame_of, turn_about
 from .settings import BrushSettings
-from .stroke import PINCH_OPEN
+from .stroke import PINCH_LEAN, PINCH_OPEN
 from .tool_meshes import WIRE_LENGTH
 
 _TOUCHING = 0.5
@@ -17,11 +17,8 @@ _OFF = 2.0
 """From the farthest particles' centres to the plate that holds them: held, and not [spacings]."""
 
 
-_LEANING = np.radians(30.0)
 _LEAN = np.eye(4)
-_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), _LEANING)
-"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
-comes along when they rise."""
+_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), PINCH_LEAN)
 
 
 def part_poses(

@@ -208,7 +208,7 @@ def test_a_pinch_closes_holds_and_pulls(mouse: Mouse) -> None:
     mouse.press()
     gaps = [np.linalg.norm(tip(p) - tip(p[1:])) for p in mouse.ticks(120)]
     assert gaps[5] == pytest.approx(2 * 1.6 * 0.012, rel=1e-6)
-    assert gaps[-1] == pytest.approx(2 * (0.6 * 0.012 + 0.5 * SPACING), rel=1e-6)
+    assert gaps[-1] == pytest.approx(2 * (0.5 * 0.6 * 0.012 + 0.5 * SPACING), rel=1e-6)
     assert all(b <= a + 1e-12 for a, b in pairwise(gaps[5:]))
     before = tip(mouse.ticks(1)[0])[2]
     for _ in range(5):
