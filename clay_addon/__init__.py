@@ -15,6 +15,7 @@ _MODULES = (
     "collider",
     "hand_operators",
     "bake_operators",
+    "wheel",
     "playback",
     "export",
     "pack",

@@ -37,6 +37,7 @@ from .simulation import (
     frames_per_second,
     solver_device,
 )
+from .wheel import WheelError, check_speeds, sample
 
 __all__ = [
     "BakeError",
@@ -190,6 +191,8 @@ def bake_steps(
     cancelled = False
     with paused(), own_touch():
         try:
+            sample(scene)
+            check_speeds(scene)
             scene.frame_set(start)
             simulation = Simulation(context)
             device = solver_device(context, device)
@@ -217,7 +220,7 @@ def bake_steps(
                                 break
                     tally.warnings += simulation.warnings()
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
-        except SimulationError as error:
+        except (SimulationError, WheelError) as error:
             raise BakeError(str(error)) from error
         except ReferenceError as error:
             raise BakeError(

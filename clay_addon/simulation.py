@@ -33,6 +33,7 @@ from .mesh_geometry import (
     turn_for,
 )
 from .preferences import device_choice, missing_parts
+from .wheel import is_wheel
 
 if TYPE_CHECKING:
     from ..solver import MeshCollider, Scene, Solver
@@ -263,6 +264,11 @@ class Simulation:
             raise SimulationError(str(error)) from error
         vertices, triangles = evaluated_mesh(item, depsgraph)
         matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
+        if kind == "PLANE" and is_wheel(item):
+            raise SimulationError(
+                f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
+                "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
+            )
         self._frictions[item.name] = item.tactile_clay.collider_friction
         if kind == "MESH":
             _, stretch = rotation_and_stretch(matrix[:3, :3])
