@@ -175,6 +175,16 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
         min=0.0,
         soft_max=1.0,
     )
+    collider_adhesion: bpy.props.FloatProperty(
+        name="Adhesion (Pa)",
+        description=(
+            "Stress at which clay that has touched this object comes off again [Pa]: wet clay "
+            "sticks to a wheel head with some thousand, to a dry tool with none"
+        ),
+        default=0.0,
+        min=0.0,
+        soft_max=20000.0,
+    )
     wheel_speed: bpy.props.FloatProperty(
         name="Wheel Speed (rpm)",
         description=(

@@ -246,7 +246,7 @@ class Simulation:
         self.gravity = gravity * self.scale
         self._planes: list[_FlatCollider] = []
         self._meshes: list[_MovingCollider] = []
-        self._frictions: dict[str, float] = {}
+        self._surfaces: dict[str, dict[str, float]] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
         for item in _simulated(collider_objects(scene), depsgraph, live=live):
             self._add_collider(item, depsgraph, middle)
@@ -269,7 +269,10 @@ class Simulation:
                 f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
                 "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
             )
-        self._frictions[item.name] = item.tactile_clay.collider_friction
+        self._surfaces[item.name] = {
+            "friction": item.tactile_clay.collider_friction,
+            "adhesion": item.tactile_clay.collider_adhesion,
+        }
         if kind == "MESH":
             _, stretch = rotation_and_stretch(matrix[:3, :3])
             self._meshes.append(
@@ -292,7 +295,7 @@ class Simulation:
         return {
             **scene_digests(self.scene),
             "colliders": _digest(
-                tuple(self._frictions.values()),
+                tuple(self._surfaces.values()),
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
@@ -339,13 +342,13 @@ class Simulation:
                 scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
                 first += len(points)
             for plane in self._planes:
-                friction = self._frictions[plane.item.name]
+                surface = self._surfaces[plane.item.name]
                 point = plane.point * self.scale
-                scene.add_plane(point.tolist(), plane.normal.tolist(), friction=friction)
+                scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
             for part in self._meshes:
                 vertices, _ = self._state(part, depsgraph)
-                friction = self._frictions[part.item.name]
-                part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+                surface = self._surfaces[part.item.name]
+                part.handle = scene.add_mesh(vertices, part.triangles, **surface)
                 part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)

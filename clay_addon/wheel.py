@@ -20,7 +20,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from .properties import frame_range
-from .wheel_speed import RATE, SPEED_PATH, is_driven, limited, speed_curve, turns, turns_between
+from .wheel_speed import RATE, is_driven, limited, speed_curve, turns, turns_between
 
 CONSTRAINT_NAME = "Clay Wheel"
 _STAMP = "tactile_clay_wheel"
@@ -153,10 +153,7 @@ def _stamp(item: bpy.types.Object, start: int, low: int, high: int, duration: fl
             values = np.empty(width * len(points), np.float32)
             points.foreach_get(name, values)
             parts.append(values.tobytes())
-        parts += [
-            (p.interpolation, p.easing, p.back, p.amplitude, p.period)
-            for p in points
-        ]
+        parts += [(p.interpolation, p.easing, p.back, p.amplitude, p.period) for p in points]
     return hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
 
 

@@ -51,8 +51,9 @@ def is_driven(item: bpy.types.Object) -> bool:
 
 
 def _is_mixed(animation: bpy.types.AnimData) -> bool:
-    return animation.use_nla and any(not track.mute and track.strips for track in
-                                     animation.nla_tracks)
+    return animation.use_nla and any(
+        not track.mute and track.strips for track in animation.nla_tracks
+    )
 
 
 def turns(
