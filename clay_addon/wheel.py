@@ -309,6 +309,7 @@ class LiveWheels:
         if self._uid not in _live:
             return
         _live.discard(self._uid)
+        refresh(scene)
         for item in wheel_objects(scene):
             curve = _angle_curve(item.tactile_clay.wheel_axle)
             if curve is None or item.name not in self._angles:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two hands of the potter's wheel scene, and what they do: a pot is thrown in 16 seconds.
+"""The two hands of the potter's wheel scene, and what they do: a pot is thrown in 8 seconds.
 
 The potter sits at +Y. Both palms centre the lump; the left hand's fingers open it while the right
 hand holds it together; then the fingers of both, one inside and one outside, squeeze the wall and
@@ -19,8 +19,8 @@ from .hand_reading import hand_armature
 
 HAND_LENGTH = 0.19
 """From wrist to fingertip [m]."""
-LAST_FRAME = 480
-PEDAL = ((1, 0.0), (40, 100.0), (425, 100.0), (470, 0.0))
+LAST_FRAME = 255
+PEDAL = ((1, 0.0), (20, 100.0), (220, 100.0), (250, 0.0))
 """Frames, and the wheel's speed [rpm] there."""
 _FRICTION = 0.03
 """Coulomb friction coefficient of wet hands."""
@@ -33,53 +33,56 @@ _CUPPED = replace(
     little=(5.0, 8.0, 10.0, 6.0),
     thumb=(-6.0, 10.0, 0.0, 10.0, 8.0),
 )
-_PALM = ("middle_proximal", "ring_proximal", "middle_intermediate", "ring_intermediate")
+_PALM = ("middle_proximal", "ring_proximal")
 _CUP_RIGHT = HandHold(_CUPPED, (0.10, -1.0, -0.20), (-1.0, 0.0, 0.0), _PALM)
 _CUP_LEFT = HandHold(_CUPPED, (-0.10, -1.0, -0.20), (1.0, 0.0, 0.0), _PALM)
 
-_TIPS = ("index_tip", "middle_tip")
-_DIPPED = replace(
+_FINGER = replace(
+    POSES["point"],
+    index=(0.0, 8.0, 6.0, 4.0),
+    middle=(0.0, 66.0, 84.0, 36.0),
+    thumb=(10.0, 4.0, 30.0, 20.0, 20.0),
+)
+_INSIDE = HandHold(_FINGER, (-0.10, -0.22, -0.97), (1.0, -0.2, 0.0), ("index_tip",))
+_FINGERS = replace(
     POSES["flat"],
-    index=(-1.0, 14.0, 10.0, 6.0),
-    middle=(0.0, 12.0, 10.0, 6.0),
-    ring=(2.0, 30.0, 36.0, 20.0),
-    little=(5.0, 42.0, 48.0, 26.0),
+    index=(-1.0, 10.0, 8.0, 4.0),
+    middle=(0.0, 10.0, 8.0, 4.0),
+    ring=(2.0, 12.0, 10.0, 5.0),
+    little=(5.0, 20.0, 20.0, 10.0),
     thumb=(-6.0, 10.0, 0.0, 10.0, 8.0),
 )
-_INSIDE = HandHold(_DIPPED, (-0.20, -0.45, -0.87), (1.0, 0.0, 0.2), _TIPS)
-_OUTSIDE = HandHold(_DIPPED, (0.20, -0.60, -0.77), (-1.0, 0.0, -0.2), _TIPS)
+_OUTSIDE = HandHold(_FINGERS, (0.10, -0.50, -0.86), (-1.0, 0.0, -0.1), ("index_tip", "middle_tip"))
 
 _RIGHT = (
-    HandKey(1, _CUP_RIGHT, (-0.13, 0.02, 0.09)),
-    HandKey(30, _CUP_RIGHT, (-0.09, 0.0, 0.045)),
-    HandKey(100, _CUP_RIGHT, (-0.062, 0.0, 0.045)),
-    HandKey(170, _CUP_RIGHT, (-0.064, 0.0, 0.045)),
-    HandKey(215, _CUP_RIGHT, (-0.070, 0.0, 0.042)),
-    HandKey(225, _OUTSIDE, (-0.100, 0.0, 0.030)),
-    HandKey(235, _OUTSIDE, (-0.068, 0.0, 0.016)),
-    HandKey(310, _OUTSIDE, (-0.062, 0.0, 0.080)),
-    HandKey(320, _OUTSIDE, (-0.090, 0.0, 0.080)),
-    HandKey(330, _OUTSIDE, (-0.066, 0.0, 0.014)),
-    HandKey(405, _OUTSIDE, (-0.060, 0.0, 0.100)),
-    HandKey(425, _OUTSIDE, (-0.120, 0.05, 0.150)),
-    HandKey(480, _OUTSIDE, (-0.20, 0.15, 0.20)),
+    HandKey(1, _CUP_RIGHT, (-0.13, 0.0, 0.08)),
+    HandKey(22, _CUP_RIGHT, (-0.080, 0.0, 0.040)),
+    HandKey(56, _CUP_RIGHT, (-0.0665, 0.0, 0.040)),
+    HandKey(62, _CUP_RIGHT, (-0.0665, 0.0, 0.040)),
+    HandKey(68, _CUP_RIGHT, (-0.072, 0.0, 0.040)),
+    HandKey(112, _CUP_RIGHT, (-0.073, 0.0, 0.040)),
+    HandKey(144, _CUP_RIGHT, (-0.077, 0.0, 0.040)),
+    HandKey(150, _CUP_RIGHT, (-0.095, 0.0, 0.045)),
+    HandKey(158, _OUTSIDE, (-0.085, 0.0, 0.014)),
+    HandKey(164, _OUTSIDE, (-0.074, 0.0, 0.014)),
+    HandKey(214, _OUTSIDE, (-0.068, 0.0, 0.075)),
+    HandKey(220, _OUTSIDE, (-0.085, 0.0, 0.085)),
+    HandKey(255, _OUTSIDE, (-0.20, 0.10, 0.16)),
 )
 _LEFT = (
-    HandKey(1, _CUP_LEFT, (0.13, 0.02, 0.09)),
-    HandKey(30, _CUP_LEFT, (0.09, 0.0, 0.045)),
-    HandKey(100, _CUP_LEFT, (0.062, 0.0, 0.045)),
-    HandKey(108, _CUP_LEFT, (0.085, 0.0, 0.060)),
-    HandKey(122, _INSIDE, (0.0, 0.0, 0.110)),
-    HandKey(130, _INSIDE, (0.0, 0.0, 0.085)),
-    HandKey(170, _INSIDE, (0.0, 0.0, 0.020)),
-    HandKey(215, _INSIDE, (-0.030, 0.0, 0.020)),
-    HandKey(235, _INSIDE, (-0.034, 0.0, 0.020)),
-    HandKey(310, _INSIDE, (-0.034, 0.0, 0.085)),
-    HandKey(320, _INSIDE, (-0.020, 0.0, 0.080)),
-    HandKey(330, _INSIDE, (-0.038, 0.0, 0.020)),
-    HandKey(405, _INSIDE, (-0.036, 0.0, 0.105)),
-    HandKey(420, _INSIDE, (-0.010, 0.02, 0.150)),
-    HandKey(480, _INSIDE, (0.14, 0.15, 0.20)),
+    HandKey(1, _CUP_LEFT, (0.13, 0.0, 0.08)),
+    HandKey(22, _CUP_LEFT, (0.080, 0.0, 0.040)),
+    HandKey(56, _CUP_LEFT, (0.0665, 0.0, 0.040)),
+    HandKey(62, _CUP_LEFT, (0.0665, 0.0, 0.040)),
+    HandKey(68, _CUP_LEFT, (0.110, 0.01, 0.060)),
+    HandKey(78, _INSIDE, (0.040, 0.02, 0.120)),
+    HandKey(84, _INSIDE, (0.0, 0.0, 0.078)),
+    HandKey(120, _INSIDE, (0.0, 0.0, 0.020)),
+    HandKey(150, _INSIDE, (-0.030, 0.0, 0.020)),
+    HandKey(164, _INSIDE, (-0.032, 0.0, 0.020)),
+    HandKey(214, _INSIDE, (-0.040, 0.0, 0.075)),
+    HandKey(220, _INSIDE, (-0.020, 0.0, 0.110)),
+    HandKey(255, _INSIDE, (0.14, 0.10, 0.20)),
 )
 
 

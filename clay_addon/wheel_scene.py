@@ -34,7 +34,7 @@ FRAMES_PER_SECOND = 30
 WHEEL_RADIUS = 0.13
 """Of the wheel head [m]."""
 _WHEEL_FRICTION = 2.5
-_WHEEL_ADHESION = 10000.0
+_WHEEL_ADHESION = 30000.0
 """Wet clay sticks to a wheel head: it takes a wire to cut a pot off [Pa]."""
 _CLAY_COLOR = (0.36, 0.165, 0.085)
 """Of red earthenware, linear RGB."""
@@ -70,6 +70,10 @@ def build(context: bpy.types.Context) -> WheelScene:
     wheel = _add_wheel(context)
     lump = _add_lump(context)
     clay = make_clay(context, [lump], SPACING, "throwing_clay", "Throwing clay")
+    # Softer than from the bag: it has been kneaded, and water is added while it is thrown.
+    properties = clay.tactile_clay
+    properties.yield_stress, properties.shear_modulus = 5000.0, 250000.0
+    properties.viscosity = 200.0
     _press_pedal(wheel)
     hands = add_hands(context)
     return WheelScene(clay, lump, wheel, hands)
@@ -83,13 +87,13 @@ def _add_lump(context: bpy.types.Context) -> bpy.types.Object:
     for vertex in item.data.vertices:
         bump = noise.noise(1.3 * vertex.co + Vector((3.1, 0.4, 7.7)))
         vertex.co *= 1.0 + 0.10 * bump
-        vertex.co.z = max(vertex.co.z, -0.55)
+        vertex.co.z = 0.72 * max(vertex.co.z, -0.6)
     item.data.materials.append(plain_material("Wet earthenware", _CLAY_COLOR, 0.4))
     context.view_layer.update()
     vertices, triangles = evaluated_mesh(item, context.evaluated_depsgraph_get())
     factor = (PARTICLE_COUNT * SPACING**3 / mesh_volume(vertices, triangles)) ** (1 / 3)
     item.scale = (factor,) * 3
-    item.location = (0.004, -0.003, -factor * float(vertices[:, 2].min()))
+    item.location = (0.003, -0.002, -factor * float(vertices[:, 2].min()))
     context.view_layer.update()
     return item
 
