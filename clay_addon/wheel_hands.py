@@ -19,8 +19,8 @@ from .hand_reading import hand_armature
 
 HAND_LENGTH = 0.19
 """From wrist to fingertip [m]."""
-LAST_FRAME = 255
-PEDAL = ((1, 0.0), (20, 100.0), (220, 100.0), (250, 0.0))
+LAST_FRAME = 240
+PEDAL = ((1, 0.0), (20, 100.0), (208, 100.0), (236, 0.0))
 """Frames, and the wheel's speed [rpm] there."""
 _FRICTION = 0.03
 """Coulomb friction coefficient of wet hands."""
@@ -61,13 +61,10 @@ _RIGHT = (
     HandKey(62, _CUP_RIGHT, (-0.0665, 0.0, 0.040)),
     HandKey(68, _CUP_RIGHT, (-0.072, 0.0, 0.040)),
     HandKey(112, _CUP_RIGHT, (-0.073, 0.0, 0.040)),
-    HandKey(144, _CUP_RIGHT, (-0.077, 0.0, 0.040)),
-    HandKey(150, _CUP_RIGHT, (-0.095, 0.0, 0.045)),
-    HandKey(158, _OUTSIDE, (-0.085, 0.0, 0.014)),
-    HandKey(164, _OUTSIDE, (-0.074, 0.0, 0.014)),
-    HandKey(214, _OUTSIDE, (-0.068, 0.0, 0.075)),
-    HandKey(220, _OUTSIDE, (-0.085, 0.0, 0.085)),
-    HandKey(255, _OUTSIDE, (-0.20, 0.10, 0.16)),
+    HandKey(190, _CUP_RIGHT, (-0.0735, 0.0, 0.042)),
+    HandKey(200, _CUP_RIGHT, (-0.0735, 0.0, 0.042)),
+    HandKey(208, _CUP_RIGHT, (-0.090, 0.0, 0.050)),
+    HandKey(240, _CUP_RIGHT, (-0.20, 0.08, 0.14)),
 )
 _LEFT = (
     HandKey(1, _CUP_LEFT, (0.13, 0.0, 0.08)),
@@ -78,11 +75,11 @@ _LEFT = (
     HandKey(78, _INSIDE, (0.040, 0.02, 0.120)),
     HandKey(84, _INSIDE, (0.0, 0.0, 0.078)),
     HandKey(120, _INSIDE, (0.0, 0.0, 0.020)),
-    HandKey(150, _INSIDE, (-0.030, 0.0, 0.020)),
-    HandKey(164, _INSIDE, (-0.032, 0.0, 0.020)),
-    HandKey(214, _INSIDE, (-0.040, 0.0, 0.075)),
-    HandKey(220, _INSIDE, (-0.020, 0.0, 0.110)),
-    HandKey(255, _INSIDE, (0.14, 0.10, 0.20)),
+    HandKey(190, _INSIDE, (-0.022, 0.0, 0.020)),
+    HandKey(196, _INSIDE, (-0.022, 0.0, 0.020)),
+    HandKey(206, _INSIDE, (-0.008, 0.0, 0.060)),
+    HandKey(216, _INSIDE, (0.0, 0.01, 0.130)),
+    HandKey(240, _INSIDE, (0.14, 0.10, 0.20)),
 )
 
 
