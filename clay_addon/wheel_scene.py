@@ -10,9 +10,9 @@ All of it are ordinary objects with modifiers, armatures and keyframes, to be ch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import radians, tau
+from math import tau
 
 import bpy
 import numpy as np
@@ -20,9 +20,10 @@ from mathutils import Vector, noise
 
 from ..solver.closed_mesh import mesh_volume
 from .collider import make_collider
-from .kindergarten_parts import Vec3, mesh_object, plain_material
+from .kindergarten_parts import mesh_object, plain_material
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh
+from .scene_stage import set_stage
 from .wheel_hands import LAST_FRAME, PEDAL, add_hands
 
 PARTICLE_COUNT = 4169
@@ -76,6 +77,16 @@ def build(context: bpy.types.Context) -> WheelScene:
     properties.viscosity = 200.0
     _press_pedal(wheel)
     hands = add_hands(context)
+    _add_pan()
+    _add_room(context)
+    set_stage(
+        context,
+        camera=((0.16, -0.56, 0.36), (0.0, 0.0, 0.045)),
+        lights=(
+            ("Window", (-0.60, -0.20, 0.60), 10.0, 0.35, (1.0, 0.90, 0.78)),
+            ("Lamp", (0.55, 0.45, 0.55), 7.0, 0.25, (1.0, 0.86, 0.70)),
+        ),
+    )
     return WheelScene(clay, lump, wheel, hands)
 
 
@@ -135,6 +146,58 @@ def _lathed(
     return mesh_object(name, vertices, faces)
 
 
+def _add_pan() -> None:
+    """Add the splash pan around the wheel head; it does not touch the clay."""
+    pan = _lathed(
+        "Splash pan",
+        (
+            (0.0, -0.075),
+            (0.185, -0.075),
+            (0.196, -0.068),
+            (0.203, -0.016),
+            (0.210, -0.013),
+            (0.214, -0.016),
+            (0.212, -0.022),
+            (0.204, -0.075),
+            (0.190, -0.086),
+            (0.0, -0.086),
+        ),
+    )
+    # From the bottom up outside, and down inside: the profile runs the other way round.
+    pan.data.flip_normals()
+    pan.data.shade_smooth()
+    pan.modifiers.new("Soft", "SUBSURF").render_levels = 1
+    pan.data.materials.append(plain_material("Blue plastic", (0.035, 0.115, 0.20), 0.32))
+
+
+def _add_room(context: bpy.types.Context) -> None:
+    """Add the table behind, far below the wheel head."""
+    corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+    floor = mesh_object("Bench", 3.0 * corners + (0.0, 0.0, -0.10), [(0, 1, 2, 3)])
+    floor.data.materials.append(plain_material("Bench", (0.42, 0.36, 0.30), 0.7))
+
+
+def _metal() -> bpy.types.Material:
+    """Turned metal with a film of slip, in blotches, so that its turning shows."""
+    material = plain_material("Wheel head", (0.52, 0.53, 0.54), 0.35)
+    tree = material.node_tree
+    shader = tree.nodes["Principled BSDF"]
+    place = tree.nodes.new("ShaderNodeTexCoord")
+    blotches = tree.nodes.new("ShaderNodeTexNoise")
+    blotches.inputs["Scale"].default_value = 26.0
+    blotches.inputs["Detail"].default_value = 4.0
+    blotches.inputs["Distortion"].default_value = 0.8
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    low, high = ramp.color_ramp.elements
+    low.position, high.position = 0.50, 0.60
+    low.color, high.color = (0.50, 0.51, 0.52, 1.0), (0.40, 0.21, 0.125, 1.0)
+    tree.links.new(place.outputs["Object"], blotches.inputs["Vector"])
+    tree.links.new(blotches.outputs[0], ramp.inputs["Fac"])
+    tree.links.new(ramp.outputs["Color"], shader.inputs["Base Color"])
+    shader.inputs["Metallic"].default_value = 0.35
+    return material
+
+
 def _add_wheel(context: bpy.types.Context) -> bpy.types.Object:
     """Add the wheel head, whose upper face is at height 0."""
     edge = 0.003
@@ -149,6 +212,7 @@ def _add_wheel(context: bpy.types.Context) -> bpy.types.Object:
             (0.0, 0.0),
         ),
     )
+    wheel.data.materials.append(_metal())
     make_collider(wheel, "MESH", _WHEEL_FRICTION)
     wheel.tactile_clay.collider_adhesion = _WHEEL_ADHESION
     return wheel

@@ -186,7 +186,9 @@ def test_wheel_too_fast_for_the_frame_rate_is_refused(studio: Any, tmp_path: Pat
     studio.scene.render.fps = 10
     studio.scene.frame_end = 3
     studio.save(tmp_path)
-    with pytest.raises(BakeError, match=r"turns by 180 degrees from frame 1 .*raise the frame rate"):
+    with pytest.raises(
+        BakeError, match=r"turns by 180 degrees from frame 1 .*raise the frame rate"
+    ):
         bake(bpy.context)
 
 
