@@ -6,7 +6,7 @@
 # make acoustic-peers  try fields and drives against levitate and autd3, in environments likewise
 # make array-peers install AUTD3's own packages for the tests of that device, into build/peers
 # make report      run the physics experiments into build/report
-# make extension   build the extension's zips into dist (PLATFORMS=linux-x64 builds one)
+# make extension   build the extension's zips and their index into dist (PLATFORMS=linux-x64 builds one)
 # make lint        check style and types
 # make clean       delete all that was built, and the environment
 #

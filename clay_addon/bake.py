@@ -24,8 +24,9 @@ from .bake_checks import (
 )
 from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
-from .clay_points import SCULPTED_MARK
 from .checkpoints import Checkpoints, restore_checkpoint
+from .clay_points import SCULPTED_MARK, write_colors
+from .delivery_object import delivered_object
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
@@ -177,6 +178,11 @@ def bake_steps(
     it does the same. The scene's frame is put back either way.
     """
     scene = context.scene
+    # Not above: the session knows of bakes too.
+    from .sculpt import session
+
+    if session.current is not None:
+        raise BakeError("The clay is being sculpted. Press Finish, or Esc in the 3D view, first.")
     began = time.perf_counter()
     default_start, default_end = frame_range(scene)
     start = default_start if start is None else start
@@ -219,6 +225,8 @@ def bake_steps(
                                 cancelled = True
                                 break
                     tally.warnings += simulation.warnings()
+                    if simulation.edited is not None:
+                        _keep_colors(scene, simulation, cache)
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except (SimulationError, WheelError) as error:
             raise BakeError(str(error)) from error
@@ -250,6 +258,17 @@ def bake_steps(
         quarantined=tally.quarantined,
         warnings=(*tally.warnings, *_warnings(scene, tally)),
     )
+
+
+def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
+    """Give the clay the colours it has at the end: a bake has one for each particle."""
+    assert simulation.edited is not None
+    cache.write_colors(simulation.edited.colors)
+    first = 0
+    for part in simulation.parts:
+        rows = simulation.edited.colors[first : first + part.count]
+        write_colors(scene.objects[part.name], rows)
+        first += part.count
 
 
 def _make_meta(
@@ -303,9 +322,7 @@ def _simulate(
     try:
         for number in range(at + 1, last + 1):
             began = time.perf_counter()
-            scene.frame_set(number)
-            inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
-            simulation.step()
+            inputs = simulation.reach(number, steps=True)
             # Before the frame itself, which counts as done once it is there.
             felt.after(number, record=number not in known)
             if number not in known:
@@ -344,8 +361,9 @@ def _note_diagnostics(simulation: Simulation, tally: _Tally) -> None:
     figures = simulation.solver.diagnostics()
     tally.volume_errors.append(figures.volume_error)
     tally.penetrations.append(figures.max_penetration)
-    tally.overflow = figures.overflow
-    tally.quarantined = figures.quarantined
+    # Edits have the solver built anew, which counts from 0 again.
+    tally.overflow = max(tally.overflow, figures.overflow)
+    tally.quarantined = max(tally.quarantined, figures.quarantined)
 
 
 def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:
@@ -367,6 +385,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
         for item in clay_objects(scene)
         if is_packed(item)
     ]
+    played = delivered_object(scene)
+    if played is not None:
+        warnings.append(
+            f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
+            "Show Clay Again, to see this bake."
+        )
     scale = scene.unit_settings.scale_length
     pull = scene.gravity.length * scale
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:

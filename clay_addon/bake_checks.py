@@ -63,13 +63,20 @@ def owner_of(scene: bpy.types.Scene, cache: Cache) -> str:
 
 
 def check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) -> None:
-    """Refuse to touch a bake that another .blend or scene still uses."""
+    """Refuse to touch a take, or a bake that another .blend or scene still uses."""
     if replace_other or not cache.exists():
         return
     try:
-        owner = cache.meta().owner
+        meta = cache.meta()
     except CacheError:
         return
+    owner = meta.owner
+    if meta.is_take:
+        raise BakeError(
+            f"The cache folder {cache.directory} holds a recorded take. Bake Again bakes it "
+            "elsewhere; for a bake of its own choose another cache folder, so that the take is "
+            "not lost."
+        )
     blend, _, scene_name = owner.rpartition("|")
     path = cache.directory / blend
     if not blend or not path.exists():
@@ -118,17 +125,25 @@ def compare(
         SimulationError: A collider does what the solver cannot follow, or a hand is gone.
     """
     meta = cache.meta()
+    if meta.is_take:
+        return ""
     changed = changed_subjects(meta, settings)
     if changed:
         return f"since then changed: {', '.join(changed)}"
     for number, frame in cache.whole_frames(meta.start, meta.end).items():
-        scene.frame_set(number)
-        if simulation.feed(bpy.context.evaluated_depsgraph_get()) != frame.inputs:
+        if number == meta.start:
+            scene.frame_set(number)
+            inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
+        else:
+            inputs = simulation.reach(number, steps=False)
+        if inputs != frame.inputs:
             what = simulation.moving_parts()
             return f"since then the {what} motion changed, first at frame {number}"
     return ""
 
 
 def changed_subjects(meta: Meta, digests: Mapping[str, str]) -> list[str]:
-    """Subjects whose digest differs from what the bake was made with."""
+    """Subjects whose digest differs from what the bake was made with; none for a take."""
+    if meta.is_take:
+        return []
     return [name for name, value in digests.items() if meta.settings.get(name) != value]

@@ -222,8 +222,16 @@ class Cache:
         self.prepare()
         self._check_own()
         self._remove()
-        write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
+        self.write_colors(colors)
         self.write_meta(meta)
+
+    def write_colors(self, colors: NDArray[np.floating]) -> None:
+        """Write the colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+
+        Raises:
+            CacheError: The disk is full or the folder cannot be written to.
+        """
+        write_arrays(self.directory / "colors.npz", {"colors": colors.astype(np.float32)})
 
     def write_meta(self, meta: Meta) -> None:
         """Write ``meta.json``.
@@ -233,8 +241,13 @@ class Cache:
         """
         write_whole(self._meta_path, lambda file: file.write(meta.to_json().encode()))
 
-    def write_frame(self, frame: Frame, meta: Meta) -> None:
+    def write_frame(self, frame: Frame, meta: Meta, *, lasting: bool = True) -> None:
         """Write one frame.
+
+        Args:
+            frame: What to write.
+            meta: The bake's.
+            lasting: Whether to wait until the disk has it.
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
@@ -248,6 +261,7 @@ class Cache:
                 "positions": np.ascontiguousarray(frame.positions, np.float32),
                 "velocities": np.ascontiguousarray(frame.velocities, np.float32),
             },
+            lasting=lasting,
         )
 
     def write_checkpoint(

@@ -78,16 +78,27 @@ def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, N
         raise CacheDamagedError(f"{path.name} is damaged") from error
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write an .npz file whole or not at all."""
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, lasting: bool = True) -> None:
+    """Write an .npz file whole or not at all; see `write_whole`."""
+
     # numpy stamps every entry with the same date, so equal arrays make equal bytes.
-    write_whole(path, lambda file: np.savez(file, **arrays))  # type: ignore[arg-type]
+    def save(file: IO[bytes]) -> None:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+    write_whole(path, save, lasting=lasting)
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens on the way."""
+def write_whole(path: Path, write: Callable[[IO[bytes]], object], *, lasting: bool = True) -> None:
+    """Write a file so that it is there whole or not at all, whatever happens on the way.
+
+    Args:
+        path: The file.
+        write: Writes it.
+        lasting: Whether also a power cut right after leaves it whole, which takes a while.
+    """
     try:
-        replace_file(path, path.parent / f".clay-{os.getpid()}-{path.stem}.tmp", write)
+        temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"
+        replace_file(path, temporary, write, lasting=lasting)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = (
@@ -99,8 +110,16 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise CacheError(message) from error
 
 
-def replace_file(path: Path, temporary: Path, write: Callable[[IO[bytes]], object]) -> None:
+def replace_file(
+    path: Path, temporary: Path, write: Callable[[IO[bytes]], object], *, lasting: bool = True
+) -> None:
     """Write a file under a temporary name in the same folder, then rename it.
+
+    Args:
+        path: The file.
+        temporary: The other name.
+        write: Writes it.
+        lasting: Whether to wait until the disk has it.
 
     Raises:
         OSError: It cannot be written. A file that was there is as it was.
@@ -109,9 +128,11 @@ def replace_file(path: Path, temporary: Path, write: Callable[[IO[bytes]], objec
         with temporary.open("wb") as file:
             write(file)
             file.flush()
-            os.fsync(file.fileno())
+            if lasting:
+                os.fsync(file.fileno())
         temporary.replace(path)
-        _sync_folder(path.parent)
+        if lasting:
+            _sync_folder(path.parent)
     finally:
         # A file system that takes no file refuses to remove one too, also one that is not there.
         with suppress(OSError):

@@ -47,6 +47,11 @@ class Meta:
     """Figures of the last bake, for reports."""
 
     @property
+    def is_take(self) -> bool:
+        """Whether these are the frames of a recorded take: no bake made them."""
+        return "take" in self.settings
+
+    @property
     def particle_count(self) -> int:
         """Number of particles in every frame."""
         return sum(part.count for part in self.clay)

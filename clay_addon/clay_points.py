@@ -19,6 +19,16 @@ so that Undo brings back both or neither."""
 SCULPTED_MARK = "clay_sculpted"
 """Custom property of points whose starting shape was sculpted since it was baked; a bake takes it
 away."""
+ABSENT = "clay_absent"
+"""Attribute of points of which some are not there all the time. Those that are not are at the very
+place of another; it is true of those that are not there in the beginning."""
+
+
+def present_rows(item: bpy.types.Object, local: NDArray[np.floating]) -> slice | NDArray[np.int64]:
+    """Which of a clay object's points are there, given where all are, shape [N, 3]."""
+    if ABSENT not in item.data.attributes:
+        return slice(None)
+    return np.sort(np.unique(local, axis=0, return_index=True)[1])
 
 
 def write_points(

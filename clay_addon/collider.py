@@ -13,6 +13,9 @@ from .mesh_geometry import (
     transform,
 )
 
+TAKE_TOOL = "clay_take_tool"
+"""Custom property of colliders that show what a tool did in a recorded take."""
+
 
 class ColliderError(Exception):
     """An object cannot be a collider; the message says why and what to do."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: bake, export and look into .blend files without an interface, track hands.
+"""The command line: bake, render, deliver, export and look into .blend files, and track hands.
 
 The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
 ``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
@@ -23,6 +23,7 @@ from .tracking.command import add_command as add_track
 
 if TYPE_CHECKING:
     from .bake import BakeProgress
+    from .delivery import DeliveryProgress
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -167,6 +168,26 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         "--save", action="store_true", help="store --frames and --cache in the .blend, for playback"
     )
 
+    bake.add_argument(
+        "--again",
+        action="store_true",
+        help="bake the recorded take of the scene with finer clay, in a scene of its own, and save "
+        "that in the .blend; with --resume go on with it",
+    )
+    bake.add_argument(
+        "--spacing",
+        metavar="MM",
+        type=_positive,
+        help="with --again: distance between particles in millimetres (default: half the live one)",
+    )
+    bake.add_argument(
+        "--substeps",
+        metavar="N",
+        type=int,
+        default=0,
+        help="with --again: solver steps in each sixtieth of a second (default: the solver's own)",
+    )
+
     export = add("export", "write the clay at a frame as one watertight mesh", _export)
     add_file_options(export)
     export.add_argument(
@@ -177,14 +198,60 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the file to write: .stl, .obj, .ply or .glb",
+        help="the file to write: .stl, .3mf, .obj, .ply or .glb",
     )
     export.add_argument(
         "--unit",
-        choices=("m", "mm"),
-        default="m",
-        help="unit of the numbers in the file (default: m)",
+        choices=("auto", "m", "mm"),
+        default="auto",
+        help="unit of the numbers in the file (default: mm in .stl and .3mf, else m)",
     )
+    export.add_argument(
+        "--base", type=float, default=0.0, metavar="MM", help="cut so much off for a flat base"
+    )
+    export.add_argument(
+        "--wall",
+        type=float,
+        default=1.0,
+        metavar="MM",
+        help="warn of thinner walls in .stl and .3mf (default: 1)",
+    )
+
+    deliver = add("deliver", "write the clay over time as USD or Alembic, with a player", _deliver)
+    add_file_options(deliver)
+    deliver.add_argument(
+        "--frames",
+        metavar="A-B",
+        type=_frame_range,
+        help="frames to write (default: the scene's range, as far as it is baked)",
+    )
+    deliver.add_argument(
+        "--format", choices=("usd", "abc"), help="usd or abc (default: the scene's, usd)"
+    )
+    deliver.add_argument("--points", action="store_true", help="write the particles too (usd)")
+    deliver.add_argument(
+        "--output", metavar="DIR", help="the folder of the delivery (default: the scene's)"
+    )
+    deliver.add_argument(
+        "--save",
+        action="store_true",
+        help="play the files in place of the clay, and store that in the .blend",
+    )
+
+    render = add("render", "render baked frames, each whole or not at all", _render)
+    add_file_options(render)
+    render.add_argument(
+        "--frames",
+        metavar="LIST",
+        type=_frame_list,
+        help="frames to render, as 1-120 or 1-10,15,20 (default: the scene's range)",
+    )
+    render.add_argument(
+        "--output",
+        metavar="PATH",
+        help="path of the pictures, as pictures/frame_#### (default: the scene's)",
+    )
+    render.add_argument("--resume", action="store_true", help="keep the pictures that are there")
 
     info = add("info", "tell what clay a file holds and what is baked", _info)
     add_file_options(info)
@@ -194,12 +261,20 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
 
         server = add("array-server", "drive an ultrasound array with focal points", _array_server)
         add_server_arguments(server)
-        demo = add("demo", "make and render the kindergarten scene", _demo)
-        demo.add_argument(
-            "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
-        )
+
+    demo = add("demo", "make and render the kindergarten scene", _demo)
+    demo.add_argument(
+        "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
+    )
     add_track(commands, carry_out=_track)
     return parser
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (math.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+    return value
 
 
 def _frame_range(text: str) -> tuple[int, int]:
@@ -214,14 +289,30 @@ def _frame_range(text: str) -> tuple[int, int]:
     raise argparse.ArgumentTypeError(f"{text!r} is not a range such as 1-120")
 
 
+def _frame_list(text: str) -> list[int]:
+    """Frame numbers from ``1-10,15``, sorted, each once."""
+    frames: set[int] = set()
+    for part in text.split(","):
+        try:
+            frames.add(int(part))
+        except ValueError:
+            start, end = _frame_range(part.strip())
+            frames.update(range(start, end + 1))
+    return sorted(frames)
+
+
 # The commands ----------------------------------------------------------------------------------
 
 
 def _bake(arguments: argparse.Namespace) -> _Outcome:
+    if not arguments.again and (arguments.spacing or arguments.substeps):
+        raise _CommandError("--spacing and --substeps go with --again.", EXIT_USAGE)
     context, scene = _open(arguments)
     from .bake import BakeError, BakeStaleError, bake
     from .cache import CacheError
 
+    if arguments.again:
+        scene = _film(context, scene, arguments)
     start, end = arguments.frames or (None, None)
     line = _ProgressLine(sys.stderr)
     try:
@@ -242,7 +333,7 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         raise _CommandError(str(error)) from error
     finally:
         line.end()
-    if arguments.save:
+    if arguments.save or arguments.again:
         _save(scene, arguments)
     for warning in result.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -255,6 +346,28 @@ def _bake(arguments: argparse.Namespace) -> _Outcome:
         f"Frames {result.start} to {result.end}: {result.baked} baked, {result.kept} kept{pace} "
         f"({result.particle_count:,} particles on {result.device}).\nCache: {result.directory}",
     )
+
+
+def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
+    """The scene in which a scene's take is baked again."""
+    import bpy
+
+    from .sculpt.film import FilmError, make_film
+
+    source = scene.tactile_clay.film_of or scene
+    known = [each for each in bpy.data.scenes if each.tactile_clay.film_of == source]
+    if arguments.resume and known:
+        film = known[0]
+    else:
+        scale = scene.unit_settings.scale_length
+        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        try:
+            film = make_film(context, spacing=spacing, substeps=arguments.substeps)
+        except FilmError as error:
+            raise _CommandError(str(error)) from error
+    if context.window is not None:
+        context.window.scene = film
+    return film
 
 
 def _export(arguments: argparse.Namespace) -> _Outcome:
@@ -275,13 +388,21 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
             shown = shown_frame(scene)
             if shown is None and arguments.cache is not None:
                 raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
-            table = export_clay(context, arguments.output.absolute(), unit=arguments.unit)
+            table = export_clay(
+                context,
+                arguments.output.absolute(),
+                unit=arguments.unit,
+                base=arguments.base,
+                wall=arguments.wall,
+            )
     except (ExportError, SurfaceError) as error:
         raise _CommandError(str(error)) from error
     if shown is None:
         print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
     elif shown != frame:
         print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+    for warning in (table["print"] or {}).get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
     # Adding zero keeps rounding from writing -0.00.
     volume_error = round(table["volume_error"], 4) + 0.0
     return EXIT_DONE, _text(
@@ -289,6 +410,80 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
         {"frame": frame, "shown_frame": shown, **table},
         f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
         f"volume {volume_error:+.2%} off the particles' own.",
+    )
+
+
+def _deliver(arguments: argparse.Namespace) -> _Outcome:
+    context, scene = _open(arguments)
+    from .delivery import DeliveryError, deliver
+    from .delivery_operators import describe
+
+    properties = scene.tactile_clay
+    if arguments.cache is not None:
+        properties.cache_directory = _absolute(arguments.cache)
+    output = _absolute(arguments.output)
+    start, end = arguments.frames or (None, None)
+    line = _ProgressLine(sys.stderr)
+    try:
+        with context.temp_override(scene=scene):
+            result = deliver(
+                context,
+                kind=arguments.format or properties.delivery_kind,
+                start=start,
+                end=end,
+                directory=output,
+                points=arguments.points or properties.delivery_points,
+                show=arguments.save,
+                progress=line,
+            )
+    except DeliveryError as error:
+        raise _CommandError(str(error)) from error
+    finally:
+        line.end()
+    assert result is not None
+    if arguments.save:
+        if output is not None:
+            properties.delivery_directory = output
+        _save_file("delivery")
+    return EXIT_DONE, _text(
+        arguments,
+        asdict(result),
+        f"{describe(result)} ({result.particle_count:,} particles, up to "
+        f"{result.vertex_count:,} vertices).\nOpen: {result.file}",
+    )
+
+
+def _render(arguments: argparse.Namespace) -> _Outcome:
+    context, scene = _open(arguments)
+    from .render_frames import FrameNotBakedError, RenderError, RenderProgress, render_frames
+
+    def tell(progress: RenderProgress) -> None:
+        # The words in which Blender itself tells it, from which schedulers read what there is.
+        print(f"Saved: '{progress.path}'", file=sys.stderr, flush=True)
+
+    if arguments.cache is not None:
+        scene.tactile_clay.cache_directory = _absolute(arguments.cache)
+    frames = arguments.frames
+    if frames is None:
+        frames = list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    try:
+        with context.temp_override(scene=scene):
+            result = render_frames(
+                context,
+                frames,
+                output=_absolute(arguments.output),
+                resume=arguments.resume,
+                progress=tell,
+            )
+    except FrameNotBakedError as error:
+        raise _CommandError(str(error), EXIT_STALE) from error
+    except RenderError as error:
+        raise _CommandError(str(error)) from error
+    return EXIT_DONE, _text(
+        arguments,
+        asdict(result),
+        f"{result.rendered} frames rendered, {result.kept} kept.\n"
+        f"Pictures: {result.files[0].parent}",
     )
 
 
@@ -370,28 +565,34 @@ def _open(arguments: argparse.Namespace) -> tuple[Any, Any]:
     return context, scene
 
 
-def _absolute(cache: str | None) -> str | None:
-    """A folder given in the shell is relative to the shell; ``//`` to the .blend."""
-    if cache is None or cache.startswith("//"):
-        return cache
-    return str(Path(cache).absolute())
+def _absolute(path: str | None) -> str | None:
+    """A path given in the shell is relative to the shell; ``//`` to the .blend."""
+    if path is None or path.startswith("//"):
+        return path
+    return str(Path(path).absolute())
 
 
 def _save(scene: Any, arguments: argparse.Namespace) -> None:
-    import bpy
-
     properties = scene.tactile_clay
     if arguments.frames:
         properties.use_scene_range = False
         properties.frame_start, properties.frame_end = arguments.frames
     if arguments.cache is not None:
         properties.cache_directory = _absolute(arguments.cache)
+    _save_file("bake")
+
+
+def _save_file(what: str) -> None:
+    import bpy
+
     if not bpy.data.filepath:
-        raise _CommandError("The bake is done, but the .blend has no name to be saved under.")
+        raise _CommandError(f"The {what} is done, but the .blend has no name to be saved under.")
     try:
         bpy.ops.wm.save_mainfile()
     except RuntimeError as error:
-        raise _CommandError(f"The bake is done, but the .blend cannot be saved: {error}") from error
+        raise _CommandError(
+            f"The {what} is done, but the .blend cannot be saved: {error}"
+        ) from error
 
 
 def _text(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> str:
@@ -429,7 +630,7 @@ def _flush() -> None:
 
 
 class _ProgressLine:
-    """Tells how far a bake is: a bar on a terminal, now and then a plain line elsewhere."""
+    """Tells how far something is: a bar on a terminal, now and then a plain line elsewhere."""
 
     _WIDTH = 24
 
@@ -438,7 +639,7 @@ class _ProgressLine:
         self._bar = stream.isatty()
         self._told = -1
 
-    def __call__(self, progress: BakeProgress) -> None:
+    def __call__(self, progress: BakeProgress | DeliveryProgress) -> None:
         from .bake_operators import duration_text
 
         share = progress.done / max(1, progress.total)

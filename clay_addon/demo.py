@@ -72,6 +72,7 @@ def main(argv: Sequence[str]) -> int:
     from .export import ExportError
     from .make_clay import ClayError
     from .pack import PackError
+    from .simulation import SimulationError
     from .surface import SurfaceError
 
     log = options.output / "demo.log"
@@ -83,8 +84,8 @@ def main(argv: Sequence[str]) -> int:
         print(f"demo: {options.output} cannot be written to: {error}", file=sys.stderr)
         return 1
     except (
-        DemoError, BakeError, CacheError, ClayError, ExportError, PackError, SurfaceError,
-        RuntimeError,
+        DemoError, BakeError, CacheError, ClayError, ExportError, PackError, SimulationError,
+        SurfaceError, RuntimeError,
     ) as error:  # fmt: skip
         print(f"demo: {error}\nWhat Blender and Warp said is in {log}.", file=sys.stderr)
         return 1
@@ -112,14 +113,15 @@ def _parse(argv: Sequence[str]) -> _Options:
 
 def _make(options: _Options, progress: _Progress) -> list[str]:
     """Make everything, and return what to tell about it."""
-    from . import kindergarten, register
+    from . import kindergarten, register, scene_stage
     from .bake import BakeProgress, bake
     from .export import clay_surface, write_mesh
     from .pack import pack_bake
     from .simulation import solver_device
 
     began = time.perf_counter()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # Reading the factory settings would switch the extension off inside Blender, wheels and all.
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     register()
     context = bpy.context
     progress.start("Loading kernels")
@@ -170,7 +172,7 @@ def _make(options: _Options, progress: _Progress) -> list[str]:
         "scene": "kindergarten",
         "particles": count,
         "frames": result.end + 1 - result.start,
-        "frames_per_second": kindergarten.FRAMES_PER_SECOND,
+        "frames_per_second": scene_stage.FRAMES_PER_SECOND,
         "device": result.device,
         "settings": result.settings,
         "spacing_m": kindergarten.SPACING,

@@ -67,7 +67,9 @@ class MovingHand:
 
     def digest_parts(self) -> tuple[object, ...]:
         """What decides how the hand works the clay, apart from its motion."""
-        return (self.friction, *(np.asarray(part) for part in self.rig.to_arrays().values()))
+        gives_way = () if self.hold_stiffness is None else (self.hold_stiffness,)
+        rig = (np.asarray(part) for part in self.rig.to_arrays().values())
+        return (self.friction, *gives_way, *rig)
 
     def check(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Refuse a hand that Blender does not evaluate.

@@ -118,19 +118,13 @@ class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
 _CLASSES = (CLAY_OT_hand_make, CLAY_OT_hand_remove, CLAY_OT_hand_add)
 
 
-def _draw_add(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator("clay.hand_add", text="Clay Hand", icon="VIEW_PAN")
-
-
 def register() -> None:
-    """Register the operators, and put Add Clay Hand into the Add menu."""
+    """Register the operators."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.VIEW3D_MT_add.append(_draw_add)
 
 
 def unregister() -> None:
     """Unregister the operators."""
-    bpy.types.VIEW3D_MT_add.remove(_draw_add)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

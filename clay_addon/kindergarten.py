@@ -25,13 +25,20 @@ from .kindergarten_hands import add_hands
 from .kindergarten_parts import Vec3, mesh_object, plain_material
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh, transform
+from .scene_stage import (
+    add_area_light,
+    add_camera,
+    add_room_light,
+    look_through_camera,
+    set_clock_and_units,
+    set_render,
+)
 
 PARTICLE_COUNT = 2114
 """As many particles as the paper's kindergarten scene has."""
 SPACING = 0.005
 """Distance between particles [m]."""
 FRAME_COUNT = 120
-FRAMES_PER_SECOND = 60
 
 _SUZANNE_TILT = Matrix.Rotation(radians(-24.0), 4, "X")
 """Makes her look up."""
@@ -72,21 +79,17 @@ def build(context: bpy.types.Context) -> Kindergarten:
     """
     scene = context.scene
     scene.name = "Kindergarten"
-    scene.frame_start, scene.frame_end = 1, FRAME_COUNT
-    scene.frame_set(1)
-    scene.render.fps, scene.render.fps_base = FRAMES_PER_SECOND, 1.0
-    scene.unit_settings.system = "METRIC"
-    scene.unit_settings.length_unit = "CENTIMETERS"
+    set_clock_and_units(scene, FRAME_COUNT)
     _add_table(context)
-    pieces = tuple(_add_piece(context, piece) for piece in _PIECES)
-    clay = make_clay(context, pieces, SPACING, "plasticine", "Modelling clay")
+    pieces = {piece.name: _add_piece(context, piece) for piece in _PIECES}
+    clay = make_clay(context, tuple(pieces.values()), SPACING, "plasticine", "Modelling clay")
     hands = add_hands(context)
-    _paint_eyes(clay, bpy.data.objects["Orange Suzanne"])
+    _paint_eyes(clay, pieces["Orange Suzanne"])
     _add_lights(context)
-    _add_camera(context)
-    _set_render(scene)
-    _look_through_camera()
-    return Kindergarten(clay, pieces, hands)
+    add_camera(context, (0.020, -0.415, 0.315), (0.020, 0.000, 0.010))
+    set_render(scene, 1080, 720)
+    look_through_camera(context)
+    return Kindergarten(clay, tuple(pieces.values()), hands)
 
 
 # Clay ------------------------------------------------------------------------------------------
@@ -236,48 +239,5 @@ def _add_lights(context: bpy.types.Context) -> None:
         ("Window", (-0.55, -0.05, 0.62), 7.5, 0.35, (1.0, 0.84, 0.66)),
         ("Lamp", (0.45, 0.55, 0.60), 4.0, 0.30, (1.0, 0.90, 0.78)),
     ):
-        light = bpy.data.lights.new(name, "AREA")
-        light.energy, light.size, light.color = energy, size, color
-        item = bpy.data.objects.new(name, light)
-        item.location = place
-        item.rotation_euler = (-Vector(place)).to_track_quat("-Z", "Y").to_euler()
-        context.collection.objects.link(item)
-    world = bpy.data.worlds.new("Room")
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    background = world.node_tree.nodes["Background"]
-    background.inputs["Color"].default_value = (0.80, 0.86, 1.0, 1.0)
-    background.inputs["Strength"].default_value = 0.22
-    context.scene.world = world
-
-
-def _add_camera(context: bpy.types.Context) -> None:
-    camera = bpy.data.cameras.new("Camera")
-    camera.lens = 50.0
-    item = bpy.data.objects.new("Camera", camera)
-    item.location = (0.020, -0.415, 0.315)
-    target = Vector((0.020, 0.000, 0.010))
-    item.rotation_euler = (target - item.location).to_track_quat("-Z", "Y").to_euler()
-    context.collection.objects.link(item)
-    context.scene.camera = item
-
-
-def _set_render(scene: bpy.types.Scene) -> None:
-    scene.render.engine = "CYCLES"
-    scene.render.resolution_x, scene.render.resolution_y = 1080, 720
-    scene.cycles.samples = 64
-    scene.cycles.use_denoising = True
-    scene.cycles.max_bounces = 5
-    scene.cycles.caustics_reflective = scene.cycles.caustics_refractive = False
-    scene.view_settings.view_transform = "AgX"
-    scene.view_settings.look = "AgX - Medium High Contrast"
-
-
-def _look_through_camera() -> None:
-    """Let whoever opens the file see the table, in colour."""
-    for screen in bpy.data.screens:
-        for area in screen.areas:
-            for space in area.spaces:
-                if space.type == "VIEW_3D":
-                    space.region_3d.view_perspective = "CAMERA"
-                    space.shading.type = "MATERIAL"
+        add_area_light(context, name, place, energy, size, color)
+    add_room_light(context, 0.22)

@@ -12,8 +12,8 @@ from mathutils.kdtree import KDTree
 from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError, check_closed_mesh, mesh_volume
-from ..solver.material import Material
-from .look import add_look
+from .look import add_look, show_colors
+from .material_presets import SCENE, find_material, operator_items
 from .mesh_geometry import (
     SWITCHED_OFF,
     evaluated_mesh,
@@ -22,7 +22,6 @@ from .mesh_geometry import (
     turn_for,
 )
 from .preferences import missing_parts
-from .properties import CUSTOM, PRESET_ITEMS
 
 PARTICLE_COUNT_LIMIT = 1_000_000
 """More particles than this in one object are taken for a slip of the hand."""
@@ -65,9 +64,10 @@ def make_clay(
     preset = scene.tactile_clay.material_preset if material_preset is None else material_preset
     for sentence in missing_parts():
         raise ClayError(sentence)
-    if preset not in Material.preset_names():
-        known = ", ".join(Material.preset_names())
-        raise ClayError(f"There is no material preset {preset!r}. There are: {known}.")
+    try:
+        find_material(preset)
+    except ValueError as error:
+        raise ClayError(str(error)) from error
     if not (math.isfinite(spacing) and spacing > 0):
         raise ClayError(f"The spacing is {spacing!r}; it must be above 0.")
     if not objects:
@@ -76,7 +76,7 @@ def make_clay(
     pieces = _closed_meshes(objects, context.evaluated_depsgraph_get())
     _check_particle_count(pieces, spacing, scene)
     _check_place(pieces, spacing)
-    points = _fill(pieces, spacing, scene)
+    points = fill_pieces(pieces, spacing, scene)
     colors = np.concatenate(
         [
             np.tile(_color_of(item), (len(part), 1))
@@ -182,12 +182,21 @@ def _length(value: float, scene: bpy.types.Scene) -> str:
     return f"{meters * 1e3:.3g} mm"
 
 
-def _fill(
+def fill_pieces(
     pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]],
     spacing: float,
     scene: bpy.types.Scene,
 ) -> list[NDArray[np.float32]]:
-    """Particles of each piece, without those that an earlier piece has already."""
+    """Particles of each piece, without those that an earlier piece has already.
+
+    Args:
+        pieces: Name, world vertices [Blender units] and triangles of each.
+        spacing: Distance between particles [Blender units].
+        scene: Its unit scale counts.
+
+    Raises:
+        ClayError: A piece cannot be filled.
+    """
     from ..solver import fill_mesh
 
     filled: list[NDArray[np.float32]] = []
@@ -376,8 +385,8 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What the clay is made of",
-        items=[("SCENE", "Scene", "The material set for the scene")]
-        + [item[:3] for item in PRESET_ITEMS if item[0] != CUSTOM],
+        items=operator_items,
+        default=0,
         options={"SKIP_SAVE"},
     )
 
@@ -391,7 +400,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
                 context,
                 list(context.selected_objects),
                 self.spacing or None,
-                None if self.material_preset == "SCENE" else self.material_preset,
+                None if self.material_preset == SCENE else self.material_preset,
             )
         except ClayError as error:
             self.report({"ERROR"}, str(error))
@@ -399,6 +408,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
         finally:
             if window and not bpy.app.background:
                 window.cursor_modal_restore()
+        show_colors()
         self.report({"INFO"}, f"{clay.name}: {len(clay.data.points):,} particles")
         return {"FINISHED"}
 

@@ -16,6 +16,7 @@ from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
 from .simulation import SimulationError, clay_objects, collider_objects, scene_digests
+from .user_materials import user_material_folder, user_materials
 
 _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
@@ -48,6 +49,13 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         column.prop(scene.tactile_clay, "spacing")
         column.prop(scene.tactile_clay, "material_preset")
         column.operator("clay.make", icon="META_BALL")
+        problems = user_materials().problems
+        if problems:
+            box = layout.box()
+            for problem in problems:
+                draw_text(box, problem, icon="ERROR")
+            folder = str(user_material_folder())
+            box.operator("wm.path_open", text="Open Folder", icon="FILE_FOLDER").filepath = folder
         # Convert turns clay into a mesh and leaves its role.
         if item is None or item.tactile_clay.role != "CLAY" or item.type != "POINTCLOUD":
             if not clay_objects(scene):
@@ -61,8 +69,11 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
             if scene.unit_settings.scale_length == 1.0
             else f"{len(item.data.points):,} particles"
         )
-        column = box.column()
-        column.prop(clay, "material_preset")
+        row = box.row(align=True)
+        # Without its label there is room for the name.
+        row.prop(clay, "material_preset", text="")
+        row.operator("clay.material_save", text="", icon="ADD")
+        row.operator("clay.material_remove", text="", icon="REMOVE")
         column = box.column(align=True)
         # Inside the sliders there is room for the units.
         column.use_property_split = False
@@ -219,7 +230,10 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
         )
         try:
             # Colliders are not looked at: evaluating them takes too long for a panel.
-            changed = changed_subjects(cache.meta(), scene_digests(scene))
+            meta = cache.meta()
+            if meta.is_take:
+                state = f"A recorded take of {len(frames)} frames, {size_text(cache.size())}."
+            changed = changed_subjects(meta, scene_digests(scene))
             if changed:
                 warning = (
                     f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."

@@ -1,35 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
-import zlib
 from typing import Any
 
 import bpy
 
-from ..solver.material import Material
-
-CUSTOM = "CUSTOM"
+from .material_presets import (
+    CUSTOM,
+    MISSING,
+    PRESET_DEFAULT_NUMBER,
+    find_material,
+    object_items,
+    scene_items,
+)
+from .user_materials import MATERIAL_VALUES
 
 FASTEST_WHEEL = 400.0
 """Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
 in the longest step of a live session."""
-
-_MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
-
-
-def _preset_items() -> list[tuple[str, str, str, str, int]]:
-    # A .blend keeps the number, so it must stay the same when presets come and go.
-    items = [(CUSTOM, "Custom", "Values of your own", "NONE", 0)]
-    for name in Material.preset_names():
-        label = name.replace("_", " ").capitalize()
-        material = Material.preset(name)
-        description = f"Density {material.density:g} kg/m³, yields at {material.yield_stress:g} Pa"
-        items.append((name, label, description, "NONE", zlib.crc32(name.encode()) & 0xFFFFFF))
-    return items
-
-
-PRESET_ITEMS = _preset_items()
-PRESET_DEFAULT = "plasticine"
 
 
 _filling = False
@@ -37,12 +25,13 @@ _filling = False
 
 def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
     global _filling
-    if properties.material_preset == CUSTOM:
+    name = properties.material_preset
+    if name == CUSTOM or name.startswith(MISSING):
         return
-    material = Material.preset(properties.material_preset)
+    material = find_material(name)
     _filling = True
     try:
-        for name in _MATERIAL_VALUES:
+        for name in MATERIAL_VALUES:
             setattr(properties, name, getattr(material, name))
     finally:
         _filling = False
@@ -51,6 +40,12 @@ def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
 def _become_custom(properties: Any, context: bpy.types.Context) -> None:
     if not _filling and properties.material_preset != CUSTOM:
         properties.material_preset = CUSTOM
+
+
+def _show_held(properties: Any, context: bpy.types.Context) -> None:
+    from .playback import refresh
+
+    refresh(properties.id_data)
 
 
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
@@ -96,8 +91,8 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What the clay is made of; choosing one fills in the values below",
-        items=PRESET_ITEMS,
-        default=PRESET_DEFAULT,
+        items=object_items,
+        default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
     )
     density: bpy.props.FloatProperty(
@@ -151,6 +146,11 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
     )
     sources: bpy.props.CollectionProperty(
         name="Sources", description="The meshes the clay was made from", type=ClaySource
+    )
+    take_start: bpy.props.PointerProperty(
+        name="Take Start",
+        description="The clay that the last take began with",
+        type=bpy.types.Mesh,
     )
     collider_kind: bpy.props.EnumProperty(
         name="Shape",
@@ -230,8 +230,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     material_preset: bpy.props.EnumProperty(
         name="Material",
         description="What new clay is made of",
-        items=[item for item in PRESET_ITEMS if item[0] != CUSTOM],
-        default=PRESET_DEFAULT,
+        items=scene_items,
+        default=PRESET_DEFAULT_NUMBER,
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
@@ -240,12 +240,60 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         min=0,
         max=4096,
     )
+    motion_samples: bpy.props.IntProperty(
+        name="Motion Samples",
+        description=(
+            "How often in each frame a bake looks where hands and colliders are: more follows what "
+            "turns back between two frames, and recorded takes"
+        ),
+        default=1,
+        min=1,
+        max=64,
+    )
+    hands_give_way: bpy.props.BoolProperty(
+        name="Hands Give Way",
+        description="Stiff clay stops hands in a bake as it does live; off, they go where keyed",
+        default=False,
+    )
+    record_take: bpy.props.BoolProperty(
+        name="Record Take",
+        description="Record what hands, tools and clay do while you sculpt, for the timeline",
+        default=False,
+    )
+    take_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_of: bpy.props.PointerProperty(
+        name="Film of",
+        description="The scene whose take this one bakes again",
+        type=bpy.types.Scene,
+    )
     cache_directory: bpy.props.StringProperty(
         name="Cache",
         description="Folder of the bake; // is the folder of the .blend file",
         subtype="DIR_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_cache",
+    )
+    delivery_directory: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder of the delivered files; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        default="//clay_delivery",
+    )
+    delivery_kind: bpy.props.EnumProperty(
+        name="Format",
+        description="What is written, and played in place of the clay",
+        items=(
+            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+        ),
+        default="usd",
+    )
+    delivery_points: bpy.props.BoolProperty(
+        name="Particles Too",
+        description="Write the particles beside the surface, for other programs (USD only)",
+        default=False,
     )
     use_scene_range: bpy.props.BoolProperty(
         name="Scene Range",
@@ -256,6 +304,17 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         name="Start", description="First frame: the clay as it was made", default=1
     )
     frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
+    hold_frames: bpy.props.IntProperty(
+        name="Hold",
+        description=(
+            "Frames that each simulated shape is held for: 1 shows all, 2 animates on twos. The "
+            "simulation itself stays as it is"
+        ),
+        default=1,
+        min=1,
+        soft_max=8,
+        update=_show_held,
+    )
 
 
 def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
@@ -264,6 +323,18 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     if properties.use_scene_range:
         return scene.frame_start, scene.frame_end
     return properties.frame_start, properties.frame_end
+
+
+def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
+    """The frame whose shape is shown at another one, where each is held for some frames.
+
+    Args:
+        scene: Its setting counts.
+        number: The frame at which it is shown.
+        first: The first frame of the bake.
+    """
+    hold = scene.tactile_clay.hold_frames
+    return first + (number - first) // hold * hold
 
 
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)

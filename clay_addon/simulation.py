@@ -20,7 +20,7 @@ from ..solver.material import Material
 from ..solver.polar import rotation_and_stretch
 from ..solver.settings import Settings
 from .cache import ClaySlice
-from .collider import ColliderError, resolve_kind
+from .collider import TAKE_TOOL, ColliderError, resolve_kind
 from .hand import hand_objects
 from .hand_motion import HandState, MovingHand
 from .hand_reading import HandError
@@ -37,6 +37,7 @@ from .wheel import is_wheel
 
 if TYPE_CHECKING:
     from ..solver import MeshCollider, Scene, Solver
+    from .sculpt.film_edits import EditedClay
 
 
 _HELD = "scene_hand_{}_held"
@@ -98,9 +99,7 @@ def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
     return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
 
 
-def clay_positions(
-    item: bpy.types.Object, attribute: str = "rest_position"
-) -> NDArray[np.float32]:
+def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> NDArray[np.float32]:
     """World positions of a clay object's points [Blender units], shape [N, 3].
 
     Args:
@@ -239,6 +238,12 @@ class Simulation:
         attribute = "position" if live else "rest_position"
         self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
+        self.edited: EditedClay | None = None
+        """Edits that are carried out on the way; None where there are none."""
+        if not live and scene.tactile_clay.film_edits:
+            from .sculpt.film_edits import EditedClay
+
+            self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
         self.spacing = _common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
         self.time_step = 1.0 / frames_per_second(scene)
@@ -310,7 +315,13 @@ class Simulation:
 
     def warnings(self) -> list[str]:
         """What the user should know of how the hands went."""
-        return [text for hand in self.hands for text in hand.warnings()]
+        warnings = [text for hand in self.hands for text in hand.warnings()]
+        if self.edited is not None and self.edited.lost:
+            warnings.append(
+                f"{self.edited.lost} particles of added clay found no room: the clay moved more "
+                "between strokes than was foreseen."
+            )
+        return warnings
 
     # Running ----------------------------------------------------------------------------------
 
@@ -336,11 +347,8 @@ class Simulation:
 
         try:
             scene = Scene(spacing=self.spacing * self.scale, gravity=self.gravity.tolist())
-            first = 0
-            for points, material in zip(self.rest, self.materials, strict=True):
-                colors = self.colors[first : first + len(points)]
+            for (points, colors), material in zip(self._bodies(), self.materials, strict=True):
                 scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
-                first += len(points)
             for plane in self._planes:
                 surface = self._surfaces[plane.item.name]
                 point = plane.point * self.scale
@@ -359,6 +367,13 @@ class Simulation:
             raise SimulationError(_REFUSED.format(error)) from error
         return scene
 
+    def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """World positions [Blender units] and colours of each clay object's particles."""
+        if self.edited is not None:
+            return self.edited.bodies()
+        ends = np.cumsum([len(points) for points in self.rest])[:-1]
+        return list(zip(self.rest, np.split(self.colors, ends), strict=True))
+
     def build(self, scene: Scene, device: str) -> None:
         """Build the solver; this needs no Blender, so any thread may do it.
 
@@ -371,6 +386,7 @@ class Simulation:
         """
         from ..solver import Solver
 
+        self._device = device
         try:
             self.solver = Solver(scene, self.settings, device=device)
         except (ValueError, RuntimeError) as error:
@@ -415,16 +431,56 @@ class Simulation:
         except HandError as error:
             raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
 
-    def step(self) -> None:
-        """Advance by one frame, to where `feed` put the colliders."""
+    def step(self, part: float = 1.0) -> None:
+        """Advance by a part of a frame, to where `feed` put the colliders."""
         assert self.solver is not None
-        self.solver.step(self.time_step)
+        self.solver.step(part * self.time_step)
+
+    def reach(self, number: int, *, steps: bool) -> bytes:
+        """Bring the scene to a frame from the one before, by way of the moments between them.
+
+        Args:
+            number: The frame.
+            steps: Whether the solver steps on to each moment.
+
+        Returns:
+            Sixteen bytes that say what colliders and hands did.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+        """
+        count = self.scene.tactile_clay.motion_samples
+        done = []
+        for sample in range(1, count + 1):
+            if sample < count:
+                self.scene.frame_set(number - 1, subframe=sample / count)
+            else:
+                self.scene.frame_set(number)
+            done.append(self.feed(bpy.context.evaluated_depsgraph_get()))
+            if steps:
+                self.step(1.0 / count)
+                self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
+        return done[0] if count == 1 else bytes.fromhex(_digest(*done))
+
+    def _edit(self, after: float, until: float) -> None:
+        """Carry out the edits between two moments [frames]."""
+        edits = self.edited.due(after, until) if self.edited is not None else ()
+        if not edits:
+            return
+        assert self.edited is not None and self.solver is not None
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        if self.edited.apply(edits, positions):
+            self._build_anew()
+
+    def _build_anew(self) -> None:
+        self.build(self.prepare(bpy.context.evaluated_depsgraph_get()), self._device)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Everything that decides what the next steps do, as plain arrays."""
         assert self.solver is not None
         held = {_HELD.format(number): hand.held() for number, hand in enumerate(self.hands)}
-        return {**self.solver.snapshot(), **held}
+        edited = self.edited.snapshot() if self.edited is not None else {}
+        return {**self.solver.snapshot(), **held, **edited}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
         """Take up a state that `snapshot` gave, after `feed` at its frame.
@@ -437,19 +493,32 @@ class Simulation:
         rest = dict(snapshot)
         # At the frame itself a hand may have a pose that was dropped, and hold an earlier one.
         held = [rest.pop(_HELD.format(number)) for number in range(len(self.hands))]
-        self.solver.restore(rest)
+        try:
+            if self.edited is not None:
+                changed = self.edited.restore(rest)
+                rest = {k: v for k, v in rest.items() if not k.startswith("scene_edit_")}
+                if changed:
+                    self._build_anew()
+            self.solver.restore(rest)
+        except (KeyError, ValueError):
+            if self.edited is not None:
+                self.edited.begin()
+                self._build_anew()
+            raise
         for hand, bones in zip(self.hands, held, strict=True):
             hand.hold(bones)
 
     def positions(self) -> NDArray[np.float32]:
         """World positions [Blender units], shape [N, 3]."""
         assert self.solver is not None
-        return (self.solver.positions() / self.scale).astype(np.float32)
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        return positions if self.edited is None else self.edited.spread(positions)
 
     def velocities(self) -> NDArray[np.float32]:
         """World velocities [Blender units/s], shape [N, 3]."""
         assert self.solver is not None
-        return (self.solver.velocities() / self.scale).astype(np.float32)
+        velocities = (self.solver.velocities() / self.scale).astype(np.float32)
+        return velocities if self.edited is None else self.edited.spread(velocities)
 
     def _state(
         self, part: _MovingCollider, depsgraph: bpy.types.Depsgraph
@@ -526,12 +595,13 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
     """
     clay = clay_objects(scene)
     gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
+    samples, edits = scene.tactile_clay.motion_samples, scene.tactile_clay.film_edits
     return {
-        "clay": clay_digest(clay),
+        "clay": _digest(clay_digest(clay), edits) if edits else clay_digest(clay),
         "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
         "solver settings": _digest(asdict(solver_settings(scene))),
         "gravity": _digest(*gravity),
-        "frame rate": _digest(frames_per_second(scene)),
+        "frame rate": _digest(frames_per_second(scene), *([samples] if samples > 1 else [])),
         "unit scale": _digest(scene.unit_settings.scale_length),
     }
 
@@ -546,7 +616,8 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
 
 
 def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
-    hold_stiffness = LIVE_HOLD_STIFFNESS if live else None
+    gives_way = live or context.scene.tactile_clay.hands_give_way
+    hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
     hands = hand_objects(context.scene)
     if hands and live:
         hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)
@@ -559,8 +630,15 @@ def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
 def _simulated(
     objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
 ) -> list[bpy.types.Object]:
-    """Those that take part: a bake refuses what is switched off, as it may be so by mistake."""
-    return [item for item in objects if not (live and is_switched_off(item, depsgraph))]
+    """Those that take part: a bake refuses what is switched off, as it may be so by mistake.
+
+    Live, what a tool did in an earlier take is felt no more.
+    """
+    return [
+        item
+        for item in objects
+        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
+    ]
 
 
 def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -113,17 +113,11 @@ class CLAY_OT_array_add(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
-def _draw_in_add_menu(self: Any, context: bpy.types.Context) -> None:
-    self.layout.operator_menu_enum("clay.array_add", "preset", text="Ultrasound Array")
-
-
 def register() -> None:
-    """Register the operator and its menu entry."""
+    """Register the operator."""
     bpy.utils.register_class(CLAY_OT_array_add)
-    bpy.types.VIEW3D_MT_add.append(_draw_in_add_menu)
 
 
 def unregister() -> None:
-    """Unregister them."""
-    bpy.types.VIEW3D_MT_add.remove(_draw_in_add_menu)
+    """Unregister it."""
     bpy.utils.unregister_class(CLAY_OT_array_add)

@@ -23,7 +23,14 @@ from .collider import make_collider
 from .kindergarten_parts import mesh_object, plain_material
 from .make_clay import make_clay
 from .mesh_geometry import evaluated_mesh
-from .scene_stage import set_stage
+from .scene_stage import (
+    add_area_light,
+    add_camera,
+    add_room_light,
+    look_through_camera,
+    set_clock_and_units,
+    set_render,
+)
 from .wheel_hands import LAST_FRAME, PEDAL, add_hands
 
 PARTICLE_COUNT = 4169
@@ -39,6 +46,12 @@ _WHEEL_ADHESION = 30000.0
 """Wet clay sticks to a wheel head: it takes a wire to cut a pot off [Pa]."""
 _CLAY_COLOR = (0.36, 0.165, 0.085)
 """Of red earthenware, linear RGB."""
+
+
+_LIGHTS = (
+    ("Window", (-0.60, -0.20, 0.60), 10.0, 0.35, (1.0, 0.90, 0.78)),
+    ("Lamp", (0.55, 0.45, 0.55), 7.0, 0.25, (1.0, 0.86, 0.70)),
+)
 
 
 @dataclass(frozen=True)
@@ -63,11 +76,8 @@ def build(context: bpy.types.Context) -> WheelScene:
     """
     scene = context.scene
     scene.name = "Potter's wheel"
-    scene.frame_start, scene.frame_end = 1, FRAME_COUNT
-    scene.frame_set(1)
-    scene.render.fps, scene.render.fps_base = FRAMES_PER_SECOND, 1.0
-    scene.unit_settings.system = "METRIC"
-    scene.unit_settings.length_unit = "CENTIMETERS"
+    set_clock_and_units(scene, FRAME_COUNT)
+    scene.render.fps = FRAMES_PER_SECOND
     wheel = _add_wheel(context)
     lump = _add_lump(context)
     clay = make_clay(context, [lump], SPACING, "throwing_clay", "Throwing clay")
@@ -79,14 +89,12 @@ def build(context: bpy.types.Context) -> WheelScene:
     hands = add_hands(context)
     _add_pan()
     _add_room(context)
-    set_stage(
-        context,
-        camera=((0.16, -0.56, 0.36), (0.0, 0.0, 0.045)),
-        lights=(
-            ("Window", (-0.60, -0.20, 0.60), 10.0, 0.35, (1.0, 0.90, 0.78)),
-            ("Lamp", (0.55, 0.45, 0.55), 7.0, 0.25, (1.0, 0.86, 0.70)),
-        ),
-    )
+    for name, place, energy, size, color in _LIGHTS:
+        add_area_light(context, name, place, energy, size, color)
+    add_room_light(context, 0.25)
+    add_camera(context, (0.17, -0.54, 0.36), (0.0, 0.0, 0.040))
+    set_render(scene, 1080, 720)
+    look_through_camera(context)
     return WheelScene(clay, lump, wheel, hands)
 
 

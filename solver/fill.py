@@ -6,6 +6,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from .closed_mesh import MeshError, check_closed_mesh, group_count, mesh_volume
+from .recording_lock import recording_lock
 
 MOST_PARTICLES = 20_000_000
 """More than this is taken for a mistake in units."""
@@ -62,11 +63,12 @@ def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[
         )
     center = 0.5 * (low + high)
     local = ((points - center) / spacing).astype(np.float32)
-    mesh = wp.Mesh(
-        points=wp.array(local, dtype=wp.vec3, device="cpu"),
-        indices=wp.array(triangles.ravel(), dtype=int, device="cpu"),
-        support_winding_number=True,
-    )
+    with recording_lock:
+        mesh = wp.Mesh(
+            points=wp.array(local, dtype=wp.vec3, device="cpu"),
+            indices=wp.array(triangles.ravel(), dtype=int, device="cpu"),
+            support_winding_number=True,
+        )
     target = _particle_target(mesh, local, triangles)
     if target == 0:
         smallest = float(min(high - low))
@@ -122,12 +124,13 @@ def _depths(mesh: wp.Mesh, lattice: NDArray[np.float64], farthest: float) -> NDA
     parts = []
     for start in range(0, len(lattice), _CHUNK):
         part = lattice[start : start + _CHUNK]
-        depth = wp.empty(len(part), dtype=float, device="cpu")
-        wp.launch(
-            measure_depth,
-            dim=len(part),
-            inputs=[mesh.id, wp.array(part, dtype=wp.vec3, device="cpu"), farthest, depth],
-            device="cpu",
-        )
+        with recording_lock:
+            depth = wp.empty(len(part), dtype=float, device="cpu")
+            wp.launch(
+                measure_depth,
+                dim=len(part),
+                inputs=[mesh.id, wp.array(part, dtype=wp.vec3, device="cpu"), farthest, depth],
+                device="cpu",
+            )
         parts.append(depth.numpy())
     return np.concatenate(parts)

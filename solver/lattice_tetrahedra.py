@@ -13,6 +13,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .recording_lock import recording_lock
+
 
 @dataclass(frozen=True)
 class Tetrahedra:
@@ -163,25 +165,26 @@ def carriers(
     """
     middle = points.mean(axis=0)
     place = (tetrahedra.points[tetrahedra.corners] - middle).astype(np.float32)
-    lower = wp.array(place.min(axis=1), dtype=wp.vec3, device="cpu")
-    upper = wp.array(place.max(axis=1), dtype=wp.vec3, device="cpu")
-    bounds = wp.Bvh(lower, upper)
-    carrier = wp.empty(len(points), dtype=int, device="cpu")
-    inside = wp.empty(len(points), dtype=float, device="cpu")
-    wp.launch(
-        find_carriers,
-        dim=len(points),
-        inputs=[
-            bounds.id,
-            margin,
-            wp.array(place, dtype=wp.vec3, device="cpu"),
-            wp.array(groups.astype(np.int32), dtype=int, device="cpu"),
-            wp.array(points - middle, dtype=wp.vec3, device="cpu"),
-            wp.array(np.ascontiguousarray(wanted[:, 0], np.int32), dtype=int, device="cpu"),
-            wp.array(np.ascontiguousarray(wanted[:, 1], np.int32), dtype=int, device="cpu"),
-            carrier,
-            inside,
-        ],
-        device="cpu",
-    )
-    return carrier.numpy(), inside.numpy()
+    with recording_lock:
+        lower = wp.array(place.min(axis=1), dtype=wp.vec3, device="cpu")
+        upper = wp.array(place.max(axis=1), dtype=wp.vec3, device="cpu")
+        bounds = wp.Bvh(lower, upper)
+        carrier = wp.empty(len(points), dtype=int, device="cpu")
+        inside = wp.empty(len(points), dtype=float, device="cpu")
+        wp.launch(
+            find_carriers,
+            dim=len(points),
+            inputs=[
+                bounds.id,
+                margin,
+                wp.array(place, dtype=wp.vec3, device="cpu"),
+                wp.array(groups.astype(np.int32), dtype=int, device="cpu"),
+                wp.array(points - middle, dtype=wp.vec3, device="cpu"),
+                wp.array(np.ascontiguousarray(wanted[:, 0], np.int32), dtype=int, device="cpu"),
+                wp.array(np.ascontiguousarray(wanted[:, 1], np.int32), dtype=int, device="cpu"),
+                carrier,
+                inside,
+            ],
+            device="cpu",
+        )
+        return carrier.numpy(), inside.numpy()

@@ -8,7 +8,8 @@ import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-_PRESET_FOLDER = Path(__file__).resolve().parent.parent / "presets" / "materials"
+PRESET_FOLDER = Path(__file__).resolve().parent.parent / "presets" / "materials"
+"""Where the materials are that ship with the project."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,7 @@ class Material:
     @classmethod
     def preset_names(cls) -> list[str]:
         """Names that `preset` knows, sorted."""
-        return sorted(path.stem for path in _PRESET_FOLDER.glob("*.toml"))
+        return sorted(path.stem for path in PRESET_FOLDER.glob("*.toml"))
 
     @classmethod
     def preset(cls, name: str) -> Material:
@@ -71,7 +72,7 @@ class Material:
         if name not in cls.preset_names():
             known = ", ".join(cls.preset_names())
             raise ValueError(f"There is no material preset {name!r}. There are: {known}.")
-        return cls.from_toml(_PRESET_FOLDER / f"{name}.toml")
+        return cls.from_toml(PRESET_FOLDER / f"{name}.toml")
 
     @classmethod
     def from_toml(cls, path: Path) -> Material:

@@ -14,6 +14,7 @@ import warp as wp
 
 from .particles import Particles
 from .processors import helper_thread, processor_count
+from .recording_lock import recording_lock
 
 MOST_RECORDINGS = 64
 """Recordings kept; the oldest goes first."""
@@ -114,6 +115,7 @@ class Recordings:
 
     def _record(self, launch: Callable[[], None], part: int | None) -> wp.Graph:
         with (
+            recording_lock,
             self.particles.only(part),
             wp.ScopedCapture(device=self.particles.device) as capture,
         ):

@@ -9,6 +9,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .recording_lock import recording_lock
+
 
 @dataclass(frozen=True)
 class NearestSkin:
@@ -66,13 +68,18 @@ class SkinQuery:
         # About the middle, where float32 resolves best.
         self.middle = 0.5 * (vertices.min(0) + vertices.max(0))
         self.extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-        self.mesh = wp.Mesh(
-            points=wp.array(vertices - self.middle, dtype=wp.vec3, device="cpu"),
-            indices=wp.array(np.ascontiguousarray(faces).ravel(), dtype=int, device="cpu"),
-        )
+        with recording_lock:
+            self.mesh = wp.Mesh(
+                points=wp.array(vertices - self.middle, dtype=wp.vec3, device="cpu"),
+                indices=wp.array(np.ascontiguousarray(faces).ravel(), dtype=int, device="cpu"),
+            )
 
     def nearest(self, points: NDArray[np.float64]) -> NearestSkin:
         """Find the nearest skin to each point [m], shape [N, 3]."""
+        with recording_lock:
+            return self._nearest(points)
+
+    def _nearest(self, points: NDArray[np.float64]) -> NearestSkin:
         count = len(points)
         depth = wp.empty(count, dtype=float, device="cpu")
         face = wp.empty(count, dtype=int, device="cpu")

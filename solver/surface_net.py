@@ -47,7 +47,7 @@ def _connected(corners: set[int]) -> bool:
     return reached == corners
 
 
-def _one_sheet() -> NDArray[np.bool_]:
+def one_sheet() -> NDArray[np.bool_]:
     """Tell for each pattern of inside corners whether one sheet of surface cuts it, shape [256]."""
     inside = [{corner for corner in range(8) if pattern >> corner & 1} for pattern in range(256)]
     return np.array([_connected(part) and _connected(set(range(8)) - part) for part in inside])
@@ -69,10 +69,10 @@ def _open_creases(values: Array) -> NDArray[np.uint8]:
     Each such cell loses its shallowest inside corner; so the net closes and fingers that touch
     stay apart. Returns the patterns of inside corners.
     """
-    one_sheet = _one_sheet()
+    in_one_sheet = one_sheet()
     pattern = _patterns(values)
     while True:
-        cells = np.argwhere(~one_sheet[pattern])
+        cells = np.argwhere(~in_one_sheet[pattern])
         if len(cells) == 0:
             return pattern
         corners = cells[:, None, :] + _CORNERS

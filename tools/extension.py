@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build the extension's zips, one a platform, with Blender's own tool, and validate them.
+"""Build the extension's zips, one a platform, with Blender's own tool, validate and index them.
 
 The manifest says everything: which platforms, which wheels, which files. The wheels are fetched
 into ``wheels`` with pip once; the sources are laid out in a folder of their own and packed from
-there, so that a zip for one platform asks only for that platform's wheels.
+there, so that a zip for one platform asks only for that platform's wheels. The folder of the zips
+is a repository that Blender installs and updates from, once a web server shows it.
 """
 
 import argparse
@@ -194,6 +195,35 @@ def build(platforms: list[str], output: Path, *, with_wheels: bool = True) -> li
     return zips
 
 
+def write_index(output: Path) -> Path:
+    """Write ``index.json``, and ``index.html`` for people, of this version's zips in a folder.
+
+    Zips of other versions may lie there: a repository has one version at a time.
+
+    Returns:
+        The path of ``index.json``.
+
+    Raises:
+        BuildError: Blender's tool failed.
+    """
+    manifest = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))
+    zips = sorted(output.glob(f"{manifest['id']}-{manifest['version']}-*.zip"))
+    with tempfile.TemporaryDirectory(prefix=".index-", dir=output) as folder:
+        for path in zips:
+            (Path(folder) / path.name).symlink_to(path.resolve())
+        run_tool("server-generate", "--html", "--repo-dir", folder)
+        index = Path(folder) / "index.json"
+        # Blender's tool lists in the order of the file system, which differs from day to day.
+        table = json.loads(index.read_text(encoding="utf-8"))
+        table["data"].sort(key=lambda entry: entry["archive_url"])
+        if [entry["archive_url"] for entry in table["data"]] != [f"./{path.name}" for path in zips]:
+            raise BuildError(f"Blender's tool did not put every zip of {output} into its index.")
+        index.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+        for name in ("index.html", "index.json"):
+            (Path(folder) / name).replace(output / name)
+    return output / "index.json"
+
+
 def main() -> int:
     """Build what the command line asks for and say what came of it.
 
@@ -213,12 +243,15 @@ def main() -> int:
     options = parser.parse_args()
     platforms = [platform_here() if name == "here" else name for name in options.platforms]
     try:
-        zips = build(platforms, options.output.resolve(), with_wheels=not options.without_wheels)
+        output = options.output.resolve()
+        zips = build(platforms, output, with_wheels=not options.without_wheels)
+        index = write_index(output)
     except BuildError as error:
         print(f"extension: {error}", file=sys.stderr)
         return 1
     for path in zips:
         print(f"{path}  {path.stat().st_size / 1e6:.1f} MB")
+    print(index)
     return 0
 
 

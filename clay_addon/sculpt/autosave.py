@@ -40,7 +40,7 @@ def autosave_path(blend: str) -> Path | None:
 class Autosave:
     """Saves a session's clay by itself, on a thread of its own."""
 
-    def __init__(self, scene: bpy.types.Scene) -> None:
+    def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-autosave")
         self._writing: Future[None] | None = None
         self._last: float | None = None
@@ -104,11 +104,11 @@ def _arrays_of(scene: bpy.types.Scene) -> dict[str, NDArray]:
 
 def _write(path: Path, arrays: dict[str, NDArray]) -> None:
     part = path.with_name(path.name + ".part")
-    with open(part, "wb") as file:
+    with part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
         file.flush()
         os.fsync(file.fileno())
-    os.replace(part, path)
+    part.replace(path)
 
 
 def take_up(context: bpy.types.Context, path: Path) -> list[str]:

@@ -29,6 +29,7 @@ class Pace:
         self._last: float | None = None
         self._owed = 0.0
         self._cost = 0.0
+        self._passed = 0.0
         self._steps: deque[tuple[float, float]] = deque()
         self.simulated = 0.0
         """Time simulated so far [s]."""
@@ -39,10 +40,14 @@ class Pace:
         """Time to simulate now [s], a multiple of `STEP_SECONDS`; 0 while none is due."""
         if self._last is None:
             self._last = now - STEP_SECONDS
-        self._owed += max(0.0, now - self._last)
+        passed = max(0.0, now - self._last)
+        self._owed += passed
+        # While Blender draws, the solver may work, and should where that takes long.
+        self._passed = _mean(self._passed, passed)
         self._last = now
-        # The factor's window begins with the first step and not with the compiling before it.
-        affordable = _BUDGET / self._cost if self._cost > 0.0 else STEP_SECONDS
+        # A little less than that, so that a slow solver does not take its own time for Blender's.
+        budget = max(_BUDGET, 0.9 * self._passed)
+        affordable = budget / self._cost if self._cost > 0.0 else STEP_SECONDS
         most = max(STEP_SECONDS, min(affordable, _LONGEST))
         # What cannot be simulated is let go.
         self._owed = min(self._owed, most + 0.5 * STEP_SECONDS)
@@ -69,7 +74,7 @@ class Pace:
             # The first compiles the kernels, and says nothing of the others.
             self.started = True
             return
-        self._cost = cost if not self._cost else _MEMORY * self._cost + (1.0 - _MEMORY) * cost
+        self._cost = _mean(self._cost, cost) if self._cost else cost
 
     def pause(self) -> None:
         """Let the time until the next step not count."""
@@ -85,3 +90,7 @@ class Pace:
         # The newest is still being computed.
         whole = steps[-1][0] - steps[0][0]
         return min(1.0, sum(duration for _, duration in steps[:-1]) / whole)
+
+
+def _mean(before: float, value: float) -> float:
+    return _MEMORY * before + (1.0 - _MEMORY) * value

@@ -10,21 +10,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import bake_operators
+from ...solver.recording_lock import recording_lock
 from ..bake_touch import own_touch
 from ..clay_points import keep_sculpted, write_points
+from ..live_surface import LiveSurface
 from ..mesh_geometry import local_from_world, transform
-from ..pack import is_packed
 from ..playback import paused, refresh
-from ..preferences import missing_parts
 from ..simulation import (
     Simulation,
     SimulationError,
@@ -34,68 +33,28 @@ from ..simulation import (
     solver_device,
 )
 from .autosave import Autosave
+from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
 from .live_touch import LiveTouch
 from .pace import Pace
+from .session_checks import SculptError, check_free
+from .session_take import SessionTake
 from .solver_worker import SolverWorker, Stepped, step
 from .structure import structure
+from .tool_interface import NoTools, Tools
 from .undo_states import UndoStates
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider
+    from .edits import Edit
 
 _SETTLE_SECONDS = 0.4
 """Hands that have let go of the clay for this long have ended a stroke [s]."""
-_MOVED = 1e-3
+_MOVED = 0.02
 """Clay that moved less than this is as it was, in spacings."""
-
-
-class SculptError(Exception):
-    """A session cannot start or go on; the message says why and what to do."""
-
-
-class ToolMesh(Protocol):
-    """A closed mesh that works the clay, in its own coordinates."""
-
-    vertices: NDArray[np.float64]
-    """[m], shape [V, 3]."""
-    faces: NDArray[np.int32]
-    """Shape [F, 3]."""
-    friction: float
-    """Coulomb friction coefficient."""
-
-
-class Tools(Protocol):
-    """What the mouse holds; see `Brush`."""
-
-    @property
-    def mesh_key(self) -> Hashable:
-        """Changes when `meshes` do."""
-
-    @property
-    def stroking(self) -> bool:
-        """Whether a stroke is under way."""
-
-    def meshes(self) -> Sequence[ToolMesh]:
-        """What collides with the clay."""
-
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
-        """Where each mesh is after so many seconds, and whether the clay feels it."""
-
-
-class NoTools:
-    """Nothing in the mouse: tracked hands and colliders only."""
-
-    mesh_key: Hashable = ()
-    stroking = False
-
-    def meshes(self) -> Sequence[ToolMesh]:
-        """None."""
-        return ()
-
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
-        """None."""
-        return ()
+_FAR = 0.5
+"""Clay that nobody touched is worth an undo step from this on, in spacings: it springs back a
+little after each stroke."""
 
 
 class SculptSession:
@@ -119,16 +78,15 @@ class SculptSession:
         device: str | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        _check_free(context.scene)
+        check_free(context.scene)
         self._scene_uid = context.scene.session_uid
         self.tools: Tools = tools or NoTools()
         self.pace = Pace()
         self.budget = FrameBudget()
         self.undo = UndoStates()
-        self.state = "Starting"
-        """What the session does at the moment, in words."""
         self._clock = clock
         self._worker = SolverWorker()
+        self.simulation: Simulation
         self._structure: Hashable = None
         self._tool_key: Hashable = None
         self._colliders: list[MeshCollider] = []
@@ -139,7 +97,11 @@ class SculptSession:
         self.positions = np.zeros((0, 3), np.float32)
         """Where all particles are seen, world [Blender units], shape [N, 3]."""
         self._kept = self.positions
+        self.felt = 0.0
+        """Force of the clay on the hands [N]."""
         self._closing = ExitStack()
+        self._surface: LiveSurface | None = None
+        self._take = SessionTake(wanted=context.scene.tactile_clay.record_take)
         refresh(context.scene)
         try:
             self._device = solver_device(context, device)
@@ -147,12 +109,10 @@ class SculptSession:
         except SimulationError as error:
             self._worker.close()
             raise SculptError(str(error)) from error
-        self.autosave = Autosave(context.scene)
+        self.autosave = Autosave()
         self._touch = LiveTouch()
         self._closing.enter_context(paused())
         self._closing.enter_context(own_touch())
-        self.first = clay_state(context.scene)
-        """The clay of each object as it was at the start."""
 
     # What others ask ----------------------------------------------------------------------------
 
@@ -172,6 +132,12 @@ class SculptSession:
         if self.pace.started or not self._worker.busy:
             return 0.0
         return time.perf_counter() - self._worker.since
+
+    @property
+    def messages(self) -> list[str]:
+        """What a person should know, in sentences."""
+        said = [*self._take.messages, self._touch.problem, self.autosave.problem]
+        return [message for message in said if message]
 
     @property
     def spacing(self) -> float:
@@ -215,19 +181,32 @@ class SculptSession:
             return True
         news = stepped is not None
         if stepped is not None:
-            self._look_at(stepped)
+            self._look_at(scene, stepped)
         if self._has_stroke_ended():
             if stepped is not None:
                 self._show(scene, stepped)
             stepped = None
             if self._changed:
                 self.keep(scene, "Sculpt Clay")
+        edits = self.tools.take_edits()
+        if edits:
+            if stepped is not None:
+                self._show(scene, stepped)
+            self._edit(context, edits)
+            return True
         duration = self.pace.next(self._clock())
         if duration:
             self._begin_step(context, duration)
         # The rest is done while the solver works.
         if stepped is not None:
             self._show(scene, stepped)
+        if self._surface is None:
+            self._open_surface(context)
+        else:
+            began = time.perf_counter()
+            if self._surface.show():
+                self.budget.took("surface", time.perf_counter() - began)
+                news = True
         if self._changed:
             self.autosave.now_and_then(scene, self._clock())
         return news
@@ -244,12 +223,22 @@ class SculptSession:
             for collider, (pose, enabled) in zip(self._colliders, poses, strict=True):
                 collider.set_pose(pose)
                 collider.set_enabled(enabled)
+            self._take.look(context.evaluated_depsgraph_get(), poses)
         solver = self.simulation.solver
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
         self._worker.begin(partial(step, solver, duration, hands, self._colliders))
 
-    def _look_at(self, stepped: Stepped) -> None:
+    def _edit(self, context: bpy.types.Context, edits: Sequence[Edit]) -> None:
+        """Add clay, take some away or paint it; a solver is built where particles came or went."""
+        scene = context.scene
+        clay = [scene.objects[part.name] for part in self.simulation.parts]
+        if edit_clay(context, clay, edits):
+            self._changed = True
+            self._touched_at = self._clock()
+            self._take.edit(edits)
+
+    def _look_at(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""
         if not np.isfinite(stepped.positions).all():
             raise SculptError(
@@ -257,14 +246,16 @@ class SculptSession:
                 "substeps."
             )
         if not stepped.duration:
+            self._take.begin(scene, self.simulation, self.tools.meshes())
             return
         self.pace.took(stepped.duration, stepped.seconds)
         self.budget.took("simulate", stepped.seconds)
-        self.state = "Sculpting"
+        world = stepped.positions / np.float32(self.simulation.scale)
+        self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
-        felt = any(contacts.forces.any() for contacts in stepped.contacts)
-        if felt or stepped.tool_force:
+        self.felt = sum(float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts)
+        if self.felt or (stepped.tool_force and self.tools.stroking):
             self._touched_at = self._clock()
 
     def _show(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
@@ -276,10 +267,20 @@ class SculptSession:
                 return
             self.positions = world
             if not self._changed:
-                moved = float(np.abs(world - self._kept).max(initial=0.0))
-                self._changed = moved > _MOVED * self.spacing
+                self._changed = self._moved() > _MOVED * self.spacing
             for item, positions in self.by_object(scene, world):
                 write_points(item, transform(local_from_world(item), positions))
+        self._offer_surface(scene)
+
+    def _offer_surface(self, scene: bpy.types.Scene) -> None:
+        """Have a surface made of what is shown."""
+        if self._surface is not None:
+            parts = self.by_object(scene, self.positions)
+            self._surface.offer([(points, clay_colors(item)) for item, points in parts])
+
+    def _moved(self) -> float:
+        """How far any clay has come since the last undo step [Blender units]."""
+        return float(np.abs(self.positions - self._kept).max(initial=0.0))
 
     def by_object(
         self, scene: bpy.types.Scene, values: NDArray[np.float32]
@@ -315,19 +316,28 @@ class SculptSession:
         state = None
         if self.simulation.solver is not None and not self._worker.busy:
             state = self.simulation.snapshot()
-        self.undo.keep(scene, state)
+        self.undo.keep(scene, state, self._take.mark)
         self._kept = self.positions
         self._changed = False
         push_undo(message)
         self.autosave.begin(scene)
+
+    def before_saving(self, scene: bpy.types.Scene) -> None:
+        """Let what is shown be what a bake of the file starts from, without an undo step."""
+        for part in self.simulation.parts:
+            item = scene.objects.get(part.name)
+            if item is not None and self._changed:
+                keep_sculpted(item)
 
     def undone(self) -> None:
         """Blender has undone or redone something: take up what it came to at the next tick."""
         self._taken_back = True
 
     def _take_back(self, context: bpy.types.Context) -> None:
-        self._taken_back = False
-        self._begin_build(context, state=self.undo.state(context.scene))
+        scene = context.scene
+        self._taken_back = self._changed = False
+        self._begin_build(context, state=self.undo.state(scene), goes_on=False)
+        self._take.rewind(self.undo.mark(scene), self.simulation)
 
     # Building -----------------------------------------------------------------------------------
 
@@ -335,14 +345,20 @@ class SculptSession:
         return structure(scene) != self._structure or self.tools.mesh_key != self._tool_key
 
     def _begin_build(
-        self, context: bpy.types.Context, *, state: dict[str, NDArray] | None = None
+        self,
+        context: bpy.types.Context,
+        *,
+        state: dict[str, NDArray] | None = None,
+        goes_on: bool = True,
     ) -> None:
         """Build the solver from the clay as Blender shows it.
 
         Args:
             context: Its scene is the session's.
             state: A state of the solver to take up, where that still fits.
+            goes_on: Whether this is what comes next, and not what was before.
         """
+        before = [part.name for part in self.simulation.parts] if self._structure else []
         self._structure = structure(context.scene)
         self._tool_key = self.tools.mesh_key
         self.simulation = simulation = Simulation(context, live=True)
@@ -353,20 +369,41 @@ class SculptSession:
             collider.set_enabled(False)
             self._colliders.append(collider)
         self.positions = self._kept = np.concatenate(simulation.rest)
-        self._changed = False
+
+        if goes_on:
+            self._take.rebuilt(simulation, self.tools.meshes())
+        if self._surface is not None:
+            if before != [part.name for part in simulation.parts]:
+                self._close_surface()
+            else:
+                self._offer_surface(context.scene)
 
         def build() -> Stepped:
+            from ..quick_surface import load_kernels
+
+            with recording_lock:
+                load_kernels()
             simulation.build(prepared, self._device)
             assert simulation.solver is not None
             if state is not None:
-                try:
+                # If colliders came or went since, the clay is where it was, but at rest.
+                with suppress(KeyError, ValueError):
                     simulation.restore(state)
-                except (KeyError, ValueError):
-                    # Colliders came or went since: the clay is where it was, but at rest.
-                    pass
             return step(simulation.solver, 0.0, (), ())
 
         self._worker.begin(build)
+
+    # The surface --------------------------------------------------------------------------------
+
+    def _open_surface(self, context: bpy.types.Context) -> None:
+        clay = [context.scene.objects[part.name] for part in self.simulation.parts]
+        self._surface = LiveSurface(context, clay)
+        self._offer_surface(context.scene)
+
+    def _close_surface(self) -> None:
+        surface, self._surface = self._surface, None
+        if surface is not None:
+            surface.close()
 
     def _scene(self, context: bpy.types.Context) -> bpy.types.Scene:
         scene = context.scene
@@ -383,25 +420,68 @@ class SculptSession:
             context: None where Blender's data is no longer this session's, as while a file loads.
         """
         with self._closing:
-            self._worker.wait()
+            # Kernels that are being compiled are not waited for: nothing was done yet.
+            if self.pace.started:
+                self._worker.wait()
+            scene = None
             try:
                 scene = self._scene(context) if context is not None else None
                 if scene is not None:
-                    stepped = self._worker.take()
+                    # What is kept is the clay itself, and not what stands for it.
+                    self._close_surface()
+                    stepped = None
+                    # What went wrong in the last step is told by `tick`.
+                    with suppress(Exception):
+                        stepped = self._worker.take()
                     if stepped is not None and np.isfinite(stepped.positions).all():
                         self._show(scene, stepped)
-                    if self._changed:
+                    if self._touched_at is not None or self._moved() > _FAR * self.spacing:
                         self.keep(scene, "Sculpt Clay")
+                    elif self._changed:
+                        self.before_saving(scene)
             except (SculptError, SimulationError, ReferenceError, KeyError):
                 # What it was about is gone; what was kept before stays.
-                pass
+                scene = None
             finally:
+                self._close_surface()
                 self._worker.close()
                 self.autosave.close()
+        if self._take.finish(scene):
+            push_undo("Record Take")
 
 
 current: SculptSession | None = None
 """The session that runs; None while there is none."""
+
+
+first: dict[str, tuple[NDArray, NDArray]] = {}
+"""Points and colours of each clay object, by name, as the last session found them."""
+
+
+def start(context: bpy.types.Context, tools: Tools | None = None) -> SculptSession:
+    """Start the session of a scene.
+
+    Raises:
+        SculptError: One runs already, or the scene cannot be sculpted.
+    """
+    global current, first
+    if current is not None:
+        raise SculptError("Sculpting goes on already. Press Esc or Finish to end it.")
+    current = SculptSession(context, tools=tools)
+    first = clay_state(context.scene)
+    return current
+
+
+def stop(context: bpy.types.Context | None) -> None:
+    """End the session that runs, if one does, and keep what is shown.
+
+    Args:
+        context: None where Blender's data is no longer the session's.
+    """
+    global current
+    ended, current = current, None
+    if ended is not None:
+        ended.finish(context)
 
 
 def clay_state(scene: bpy.types.Scene) -> dict[str, tuple[NDArray, NDArray]]:
@@ -415,23 +495,6 @@ def clay_state(scene: bpy.types.Scene) -> dict[str, tuple[NDArray, NDArray]]:
 
 
 def push_undo(message: str) -> None:
-    """Make an undo step of what Blender holds now; in the background there is no Undo."""
-    if not bpy.app.background:
+    """Make an undo step of what Blender holds now, where there is a window and so an Undo."""
+    if not bpy.app.background and bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=message)
-
-
-def _check_free(scene: bpy.types.Scene) -> None:
-    """Refuse where something else has the clay."""
-    for sentence in missing_parts():
-        raise SculptError(sentence)
-    if bake_operators.running is not None:
-        raise SculptError("A bake is running. Press Esc to stop it first.")
-    if bpy.app.is_job_running("RENDER"):
-        raise SculptError("Blender is rendering. Sculpt when it has done.")
-    for item in clay_objects(scene):
-        if is_packed(item):
-            raise SculptError(
-                f"{item.name!r} plays frames packed in the .blend. Unpack them first (Clay > Bake)."
-            )
-        if item.library is not None or item.data.library is not None:
-            raise SculptError(f"{item.name!r} is linked from another file. Make it local first.")

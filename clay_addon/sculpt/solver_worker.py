@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from ...solver import Hand, HandContacts, Solver
+    from ...solver import Hand, HandContacts, MeshCollider, Solver
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class SolverWorker:
     """Does one thing at a time beside the main thread, which hands it over and looks in for it."""
 
     def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay")
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-sculpt")
         self._task: Future[Stepped] | None = None
         self.since = 0.0
         """When what it does was begun, by `time.perf_counter` [s]."""
@@ -74,7 +74,9 @@ class SolverWorker:
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
-def step(solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[object]) -> Stepped:
+def step(
+    solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence[MeshCollider]
+) -> Stepped:
     """Advance a solver.
 
     Args:
@@ -87,6 +89,8 @@ def step(solver: Solver, duration: float, hands: Sequence[Hand], tools: Sequence
     if duration:
         solver.step(duration)
     seconds = time.perf_counter() - began
-    contacts = tuple(solver.contacts(hand) for hand in hands) if duration else ()
-    force = sum(float(np.linalg.norm(solver.force_on(tool))) for tool in tools) if duration else 0.0
-    return Stepped(duration, seconds, solver.positions(), contacts, force)
+    if not duration:
+        return Stepped(duration, seconds, solver.positions(), (), 0.0)
+    contacts = tuple(solver.contacts(hand) for hand in hands)
+    forces = [float(np.linalg.norm(solver.force_on(tool))) for tool in tools]
+    return Stepped(duration, seconds, solver.positions(), contacts, sum(forces))

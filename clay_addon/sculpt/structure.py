@@ -24,8 +24,7 @@ def structure(scene: bpy.types.Scene) -> Hashable:
         role = properties.role
         if role == "NONE":
             continue
-        # Blender's own ways to switch something off; that of collections shows in is_evaluated.
-        parts += [item.name, item.session_uid, role, item.hide_viewport, item.visible_get()]
+        parts += [item.name, item.session_uid, role, item.hide_viewport]
         if role == "CLAY" and item.type == "POINTCLOUD":
             parts += [item.data.session_uid, len(item.data.points)]
             parts += [tuple(row) for row in item.matrix_world]

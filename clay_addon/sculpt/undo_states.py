@@ -14,6 +14,7 @@ import bpy
 from numpy.typing import NDArray
 
 from ..simulation import clay_objects
+from .take import Mark
 
 _MARK = "clay_state"
 _MOST_BYTES = 256_000_000
@@ -25,11 +26,25 @@ class UndoStates:
 
     def __init__(self) -> None:
         self._states: OrderedDict[int, dict[str, NDArray]] = OrderedDict()
+        self._marks: dict[int, Mark] = {}
         self._last = 0
 
-    def keep(self, scene: bpy.types.Scene, state: dict[str, NDArray] | None) -> None:
-        """Mark the scene's clay as being in a state, right before the undo step is made."""
+    def keep(
+        self,
+        scene: bpy.types.Scene,
+        state: dict[str, NDArray] | None,
+        mark: Mark | None = None,
+    ) -> None:
+        """Mark the scene's clay as being in a state, right before the undo step is made.
+
+        Args:
+            scene: The session's.
+            state: The solver's; None where it is not to be had.
+            mark: The moment of the take that is recorded.
+        """
         self._last += 1
+        if mark is not None:
+            self._marks[self._last] = mark
         for item in clay_objects(scene):
             item.data[_MARK] = self._last
         if state is None:
@@ -40,8 +55,17 @@ class UndoStates:
 
     def state(self, scene: bpy.types.Scene) -> dict[str, NDArray] | None:
         """The state of the clay as Blender holds it now, if it is known."""
-        numbers = {item.data.get(_MARK) for item in clay_objects(scene)}
-        return self._states.get(numbers.pop()) if len(numbers) == 1 else None
+        return self._states.get(_number(scene))
+
+    def mark(self, scene: bpy.types.Scene) -> Mark | None:
+        """The moment of the take that the clay is of as Blender holds it now, if it is known."""
+        return self._marks.get(_number(scene))
 
     def _bytes(self) -> int:
         return sum(part.nbytes for state in self._states.values() for part in state.values())
+
+
+def _number(scene: bpy.types.Scene) -> int:
+    """Number of the state of all clay; 0, which there is none of, where objects differ."""
+    numbers = {item.data.get(_MARK, 0) for item in clay_objects(scene)}
+    return int(numbers.pop()) if len(numbers) == 1 else 0

@@ -10,13 +10,13 @@ import bpy
 import numpy as np
 from mathutils import Quaternion, Vector
 
+from ..keyed_channels import Channel, write_channels
 from . import TrackingError
 from .armature import CONTACT_PROPERTY, local_poses, placed, read_target
 from .joints import SIDES
 from .recording import Entry
 from .resample import resampled_hands
 
-_LINEAR = 1
 _LONGEST = 200_000
 """Frames; a recording longer than that holds a wrong time."""
 
@@ -91,32 +91,21 @@ def _write_keys(
     start: int,
     name: str,
 ) -> None:
-    animation = armature.animation_data or armature.animation_data_create()
-    if animation.action is not None:
-        animation.action.use_fake_user = True
-    animation.action = bpy.data.actions.new(name)
     armature[CONTACT_PROPERTY] = 0.0
-    # One key makes the channels; the others go in at once, which is a hundred times faster.
-    armature.keyframe_insert(f'["{CONTACT_PROPERTY}"]', frame=start)
-    values = {(f'["{CONTACT_PROPERTY}"]', 0): np.asarray(contacts, np.float32)}
+    frames = np.arange(start, start + len(poses))
+    touching = Channel(f'["{CONTACT_PROPERTY}"]', 0, frames, np.asarray(contacts, np.float32))
+    channels = [touching]
     for bone_name in poses[0]:
         bone = armature.pose.bones[bone_name]
         bone.rotation_mode = "QUATERNION"
         locations, turns = _channels([pose[bone_name] for pose in poses])
         for path, array in (("location", locations), ("rotation_quaternion", turns)):
-            bone.keyframe_insert(path, frame=start)
-            for index in range(array.shape[1]):
-                values[(f"{bone.path_from_id()}.{path}", index)] = array[:, index]
-    frames = np.arange(start, start + len(poses), dtype=np.float32)
-    for curve in _curves(armature):
-        column = values.get((curve.data_path, curve.array_index))
-        if column is None:
-            continue
-        points = curve.keyframe_points
-        points.add(len(column) - len(points))
-        points.foreach_set("co", np.column_stack([frames, column]).ravel())
-        points.foreach_set("interpolation", np.full(len(column), _LINEAR, np.int32))
-        curve.update()
+            whole = f"{bone.path_from_id()}.{path}"
+            channels += [
+                Channel(whole, index, frames, column, group=bone_name)
+                for index, column in enumerate(array.T)
+            ]
+    write_channels(armature, name, channels)
 
 
 def _channels(poses: Sequence[object]) -> tuple[np.ndarray, np.ndarray]:
@@ -132,9 +121,3 @@ def _channels(poses: Sequence[object]) -> tuple[np.ndarray, np.ndarray]:
         locations[number], turns[number] = location, turn
         before = turn
     return locations, turns
-
-
-def _curves(armature: bpy.types.Object) -> Sequence[bpy.types.FCurve]:
-    animation = armature.animation_data
-    strip = animation.action.layers[0].strips[0]
-    return list(strip.channelbag(animation.action_slot).fcurves)

@@ -117,7 +117,8 @@ class Blender:
             source: The script; it finds its arguments in sys.argv after "--".
             arguments: Arguments for the script; a Path is given as Blender sees it.
             scene: The .blend file to open first.
-            window: Whether to run in a window; then the script must end Blender itself.
+            window: Whether to run in a window, where it is the script that moves the mouse; then
+                the script must end Blender itself.
             timeout: Time after which Blender is killed [s].
 
         Raises:
@@ -126,7 +127,7 @@ class Blender:
         descriptor, name = tempfile.mkstemp(prefix="script-", suffix=".py", dir=self.folder)
         with os.fdopen(descriptor, "w", encoding="utf-8") as file:
             file.write(source)
-        opening: list[str | Path] = [] if window else ["-b"]
+        opening: list[str | Path] = ["--enable-event-simulate"] if window else ["-b"]
         if scene is not None:
             opening.append(scene)
         opening += ["--python-exit-code", "9", "--python", Path(name), "--", *arguments]

@@ -30,8 +30,33 @@ for module in (pysplashsurf, trimesh, warp, websockets):
 """
 
 
+DEMO = """
+import sys
+from bl_ext.user_default.tactile_clay.clay_addon import demo
+
+output = sys.argv[sys.argv.index("--") + 1]
+print("DEMO", demo.main(["--output", output, "--frames", "2", "--width", "32", "--samples", "1"]))
+"""
+MAKE_CLAY = """
+import bpy
+
+bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+bpy.ops.mesh.primitive_cube_add(size=0.04)
+assert bpy.ops.clay.make(spacing=0.01) == {"FINISHED"}
+bpy.ops.wm.save_userpref()
+"""
+
+
+def files_of(folder: Path) -> set[str]:
+    """List the files below a folder."""
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
 def test_extension_installs_switches_and_uninstalls(blender: Any, extension_zip: Path) -> None:
-    """Install, disable, enable and remove the extension without an error or a trace."""
+    """Install, disable, enable, use and remove the extension without an error or a trace."""
+    saved = blender.run_script("import bpy; bpy.ops.wm.save_userpref()")
+    assert saved.exit_code == 0, saved.output
+    before = files_of(blender.profile)
     installed = blender.install(extension_zip)
     assert installed.exit_code == 0, installed.output
     assert "Traceback" not in installed.output
@@ -48,10 +73,18 @@ def test_extension_installs_switches_and_uninstalls(blender: Any, extension_zip:
         "STATE disabled (False, False)",
     ]
 
+    enabled = f"import bpy; bpy.ops.preferences.addon_enable(module={MODULE!r})"
+    used = blender.run_script(enabled + MAKE_CLAY)
+    assert used.exit_code == 0, used.output
+
+    assert len(files_of(blender.profile)) > len(before) + 500
     removed = blender.uninstall()
     assert removed.exit_code == 0, removed.output
-    left = [path for path in blender.profile.rglob("*") if "tactile_clay" in path.name]
-    assert left == []
+    left = files_of(blender.profile) - before
+    # Blender's own, of every extension that it has ever looked at.
+    assert left <= {"extensions/.cache/compat.dat"}
+    folders = [path for path in blender.profile.rglob("*") if "tactile_clay" in path.name]
+    assert folders == []
 
 
 def test_wheels_are_the_bundled_ones(blender_with_extension: Any) -> None:
@@ -62,3 +95,11 @@ def test_wheels_are_the_bundled_ones(blender_with_extension: Any) -> None:
     profile = blender_with_extension.path_inside(blender_with_extension.profile)
     assert [name for _, name, _ in found] == ["pysplashsurf", "trimesh", "warp", "websockets"]
     assert all(file.startswith(profile) for _, _, file in found), found
+
+
+def test_demo_runs_from_the_zip_alone(blender_with_extension: Any) -> None:
+    """Make the demonstration inside Blender, with nothing but what the zip brought."""
+    output = blender_with_extension.folder / "demo"
+    result = blender_with_extension.run_script(DEMO, output)
+    assert "DEMO 0" in result.output, result.output
+    assert {path.suffix for path in output.iterdir()} >= {".blend", ".stl", ".ply", ".glb", ".png"}

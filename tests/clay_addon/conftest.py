@@ -41,6 +41,17 @@ class Studio:
 
         return make_clay(bpy.context, [self.block(**block)], spacing=0.01, name=name)
 
+    def camera(self) -> Any:
+        """Add a camera that sees the block and the table, and light, and make pictures small."""
+        bpy.ops.object.light_add(type="SUN", rotation=(0.5, 0.3, 0.0))
+        bpy.ops.object.camera_add(location=(0.2, -0.2, 0.15), rotation=(1.1, 0.0, 0.785))
+        render = self.scene.render
+        self.scene.camera = bpy.context.object
+        render.engine = "CYCLES"
+        self.scene.cycles.samples = 1
+        render.resolution_x, render.resolution_y = 32, 24
+        return self.scene.camera
+
     def falling_block(self, folder: Path, *, end: int = 6) -> Any:
         """Save a scene with a block of clay that falls on a table."""
         clay = self.clay()

@@ -435,8 +435,8 @@ def test_error_in_a_step_leaves_no_checkpoint_of_it(
     bake(bpy.context, directory=tmp_path / "whole")
     real = Simulation.step
 
-    def step(self: Simulation) -> None:
-        real(self)
+    def step(self: Simulation, part: float) -> None:
+        real(self, part)
         if studio.scene.frame_current == 4:
             raise KeyboardInterrupt
 

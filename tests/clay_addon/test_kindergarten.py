@@ -16,11 +16,12 @@ from mathutils.bvhtree import BVHTree  # noqa: E402
 from tactile_clay.clay_addon import kindergarten, register, unregister  # noqa: E402
 from tactile_clay.clay_addon.hand import hand_objects  # noqa: E402
 from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
+from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
 from tactile_clay.clay_addon.simulation import (  # noqa: E402
     Simulation,
     clay_colors,
-    collider_objects,
     clay_positions,
+    collider_objects,
 )
 from tactile_clay.solver.closed_mesh import check_closed_mesh  # noqa: E402
 from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
@@ -46,7 +47,9 @@ class Played:
 def scene() -> Iterator[kindergarten.Kindergarten]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     register()
-    yield kindergarten.build(bpy.context)
+    # Beside another scene, whose objects may be called the same.
+    bpy.context.collection.objects.link(bpy.data.objects.new("Orange Suzanne", None))
+    yield add_scene(bpy.context, "Kindergarten", kindergarten.build)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     unregister()
 
@@ -77,7 +80,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
         simulation.step()
     context.scene.frame_set(1)
     after = simulation.positions()
-    names = [item.name for item in scene.pieces]
+    names = [item.name.removesuffix(".001") for item in scene.pieces]
     assert simulation.solver is not None
     return Played(
         {name: before[owner == index] for index, name in enumerate(names)},

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,8 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon import look
-from tactile_clay.clay_addon.make_clay import _point_cloud
+from tactile_clay.clay_addon.look_material import MATERIAL_NAME, clay_material
+from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.surface import check_closed_manifold, reconstruct
 
 RED, BLUE = (0.7, 0.02, 0.02, 1.0), (0.02, 0.05, 0.7, 1.0)
@@ -33,7 +36,9 @@ def block(*counts: int) -> np.ndarray:
 def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
     """Clay that is red on the left and blue on the right."""
     colors = np.where(points[:, :1] < 0, RED, BLUE).astype(np.float32)
-    return _point_cloud(bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay")
+    return make_point_cloud(
+        bpy.context, (points * spacing).astype(np.float32), colors, spacing, "Clay"
+    )
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -51,7 +56,7 @@ def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     mesh.loop_triangles.foreach_get("vertices", faces.ravel())
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
-    assert look.MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
+    assert MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
     return vertices.astype(np.float64), faces.astype(np.int64), colors
 
 
@@ -77,18 +82,17 @@ def test_surface_is_closed_smooth_and_in_place_at_any_spacing(spacing: float) ->
     assert vertices[middle, 2].std() < 0.05
 
 
-def test_colours_meet_crisply() -> None:
-    """Every vertex has the colour of its nearest particle, unmixed."""
+def test_colours_are_the_particles_and_mix_only_where_they_meet() -> None:
+    """Beyond 1.2 spacings from where two colours meet there is no trace of the other one."""
     item = clay(block(8, 6, 6))
     look.add_look(item)
     mesh = shown(item)
     assert mesh is not None
-    vertices, _, colors = mesh
-    side = np.abs(vertices[:, 0]) > 0.005 * 0.6
-    expected = np.where(vertices[side, :1] < 0, RED, BLUE)
-    np.testing.assert_allclose(colors[side], expected, atol=1e-6)
-    unmixed = np.isclose(colors[:, 0], RED[0]) | np.isclose(colors[:, 0], BLUE[0])
-    assert unmixed.all()
+    x, colors = mesh[0][:, 0] / 0.005, mesh[2]
+    far = np.abs(x) > 1.2
+    np.testing.assert_allclose(colors[far], np.where(x[far, None] < 0, RED, BLUE), atol=0.01)
+    middle = colors[np.abs(x) < 0.2, 0]
+    assert ((middle > 0.1) & (middle < 0.6)).any()
 
 
 def test_crumbs_and_sheets_do_not_vanish() -> None:
@@ -118,8 +122,8 @@ def test_switch_and_limit_choose_between_points_and_surface() -> None:
     assert shown(item) is None
 
 
-def render(folder: Path) -> np.ndarray:
-    """Render the clay from the front; pixels, linear, shape [16, 32, 4], transparent outside."""
+def set_stage(folder: Path) -> None:
+    """Set the scene to render the clay from the front: linear, transparent outside."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
@@ -139,11 +143,48 @@ def render(folder: Path) -> np.ndarray:
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_mode = "RGBA"
     scene.render.filepath = str(folder / "clay.exr")
-    bpy.ops.render.render(write_still=True)
+
+
+def picture(folder: Path) -> np.ndarray:
+    """The pixels of a picture that was rendered, shape [16, 32, 4]."""
     image = bpy.data.images.load(str(folder / "clay.exr"))
     pixels = np.empty(32 * 16 * 4, np.float32)
     image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
     return pixels.reshape(16, 32, 4)
+
+
+def render(folder: Path) -> np.ndarray:
+    """Render the clay from the front."""
+    set_stage(folder)
+    bpy.ops.render.render(write_still=True)
+    return picture(folder)
+
+
+RENDER = """
+import os, sys
+import bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[-1])
+assert not [name for name in sys.modules if name.startswith("tactile_clay")]
+bpy.ops.render.render(write_still=True)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> None:
+    """Render the same picture in a fresh process that never saw the add-on."""
+    item = clay(block(10, 6, 6))
+    look.add_look(item)
+    here = render(tmp_path)
+    (tmp_path / "clay.exr").unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "clay.blend"))
+    words = [sys.executable, "-c", RENDER, str(tmp_path / "clay.blend")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    there = picture(tmp_path)
+    assert (there[6:10, 7:25, 3] > 0.99).all()
+    np.testing.assert_allclose(there, here, atol=0.02)
 
 
 @pytest.mark.parametrize("kind", ["surface", "points", "beyond the limit", "exact"])
@@ -185,22 +226,22 @@ def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
     assert look.get_input(second, "Surface") is False
     look.add_look(clay(block(3, 3, 3)))
     assert len(bpy.data.node_groups) == 1
-    assert [item.name for item in bpy.data.materials] == [look.MATERIAL_NAME]
+    assert [item.name for item in bpy.data.materials] == [MATERIAL_NAME]
 
 
 def test_material_reads_the_colour_attribute_and_is_shared() -> None:
     """There is one clay material; its base colour is the attribute `Color`."""
-    material = look.clay_material()
-    assert look.clay_material() == material
+    material = clay_material()
+    assert clay_material() == material
     shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     assert shader.inputs["Base Color"].links[0].from_node.attribute_name == "Color"
 
 
 def test_foreign_material_of_the_same_name_is_left_alone() -> None:
     """A user's own material called Clay is neither used nor changed."""
-    own = bpy.data.materials.new(look.MATERIAL_NAME)
-    assert look.clay_material() != own
-    assert look.clay_material() == look.clay_material()
+    own = bpy.data.materials.new(MATERIAL_NAME)
+    assert clay_material() != own
+    assert clay_material() == clay_material()
 
 
 def test_what_is_no_clay_is_refused() -> None:
@@ -233,5 +274,53 @@ def test_surface_object_is_the_reconstruction() -> None:
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
     np.testing.assert_array_equal(colors, surface.colors)
-    assert mesh.materials[0] == look.clay_material()
+    assert mesh.materials[0] == clay_material()
     assert mesh.attributes["clay_spacing"].data[0].value == pytest.approx(1.0, rel=0.2)
+
+
+def test_solid_views_show_the_clays_colours() -> None:
+    """Colour solid views by attribute, other than those that somebody has set otherwise."""
+    bpy.ops.wm.read_factory_settings()
+    spaces = [
+        space
+        for screen in bpy.data.screens
+        for area in screen.areas
+        for space in area.spaces
+        if space.type == "VIEW_3D"
+    ]
+    assert len(spaces) > 1
+    for space in spaces:
+        space.shading.color_type = "MATERIAL"
+    spaces[0].shading.color_type = "RANDOM"
+    look.show_colors()
+    assert spaces[0].shading.color_type == "RANDOM"
+    assert {space.shading.color_type for space in spaces[1:]} == {"VERTEX"}
+
+
+def test_grain_goes_along_with_the_clay() -> None:
+    """Keep the grain on clay that is moved, and give clay without rest positions one too."""
+    item = clay(block(6, 6, 6))
+    look.add_look(item)
+
+    def grain() -> np.ndarray:
+        geometry = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
+        values = np.empty((len(geometry.mesh.vertices), 3), np.float32)
+        geometry.mesh.attributes["clay_texture"].data.foreach_get("vector", values.ravel())
+        return values
+
+    before = grain()
+    assert np.ptp(before, axis=0).min() > 4
+    positions = np.empty((216, 3), np.float32)
+    layer = item.data.attributes["position"].data
+    layer.foreach_get("vector", positions.ravel())
+    # By whole voxels, so that the mesh is the same.
+    layer.foreach_set("vector", (positions + np.array([0.05, 0, 0], np.float32)).ravel())
+    item.data.update_tag()
+    moved = grain()
+    np.testing.assert_allclose(moved.min(axis=0), before.min(axis=0), atol=0.1)
+    np.testing.assert_allclose(moved.max(axis=0), before.max(axis=0), atol=0.1)
+    item.data.attributes.remove(item.data.attributes["rest_position"])
+    item.data.update_tag()
+    np.testing.assert_allclose(
+        grain().mean(axis=0), before.mean(axis=0) + np.array([10, 0, 0]), atol=0.2
+    )

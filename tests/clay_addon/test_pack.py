@@ -16,7 +16,7 @@ import pytest
 
 from tactile_clay.clay_addon import look
 from tactile_clay.clay_addon.export import export_clay
-from tactile_clay.clay_addon.make_clay import _point_cloud
+from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.pack import (
     MODIFIER_NAME,
     PackError,
@@ -34,7 +34,7 @@ def clay() -> Any:
     """Clay that shows points, in an empty file, without the add-on registered."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     rng = np.random.default_rng(0)
-    item = _point_cloud(
+    item = make_point_cloud(
         bpy.context,
         rng.uniform(0, 0.02, (COUNT, 3)).astype(np.float32),
         rng.uniform(0, 1, (COUNT, 4)).astype(np.float32),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's manifest agrees with the project and obeys the format's limits."""
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,16 @@ def project(repository: Path) -> dict[str, Any]:
     tables: dict[str, Any] = tomllib.loads((repository / "pyproject.toml").read_text("utf-8"))
     project: dict[str, Any] = tables["project"]
     return project
+
+
+def test_version_is_the_same_everywhere(
+    repository: Path, manifest: dict[str, Any], project: dict[str, Any]
+) -> None:
+    """Give the extension, the Python package and the newest entry of the changes one version."""
+    changes = (repository / "CHANGELOG.md").read_text("utf-8")
+    newest = re.search(r"^## \[(\d+\.\d+\.\d+)\]", changes, flags=re.MULTILINE)
+    assert newest is not None
+    assert manifest["version"] == project["version"] == newest[1]
 
 
 @pytest.mark.parametrize("tag", ["manylinux", "win_amd64", "macosx"])

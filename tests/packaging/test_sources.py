@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 FOLDERS = ("clay_addon", "haptics", "presets", "solver", "tests", "tools", ".ci")
-TEXTS = {"", ".md", ".py", ".sh", ".toml"}
+TEXTS = {"", ".js", ".md", ".py", ".sh", ".toml", ".yaml"}
+COMMENTS = {".js": "// ", ".py": "# ", ".yaml": "# "}
 PERSONAL = re.compile(r"/(?:home|Users)/\w|/root\b|/work/|[a-z]:\\Users|\bpypi\b", re.IGNORECASE)
 
 
@@ -22,11 +23,15 @@ def text_files(repository: Path) -> Iterator[Path]:
 
 
 def test_every_source_file_names_its_license(repository: Path) -> None:
-    """Open every Python file with its SPDX line."""
-    sources = [path for path in text_files(repository) if path.suffix == ".py"]
+    """Open every file that is run, or read by a program, with its SPDX line."""
+    sources = [path for path in text_files(repository) if path.suffix in COMMENTS]
     assert len(sources) > 10
-    header = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
-    bare = [str(path) for path in sources if not path.read_text("utf-8").startswith(header)]
+    header = "SPDX-License-Identifier: GPL-3.0-or-later\n"
+    bare = [
+        str(path)
+        for path in sources
+        if not path.read_text("utf-8").startswith(COMMENTS[path.suffix] + header)
+    ]
     assert bare == []
 
 

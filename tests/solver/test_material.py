@@ -11,19 +11,23 @@ from tactile_clay.solver import Material
 
 
 def test_every_preset_reads_and_names_its_source():
-    """Read each preset that ships; each has a label and a source."""
+    """Read each preset that ships; each has a label, and a source for every one of its values."""
     import tomllib
 
     names = Material.preset_names()
-    assert {"plasticine", "soft_play_dough", "throwing_clay", "stiff_clay", "wet_clay"} <= set(
-        names
-    )
+    assert names == [
+        "plasticine", "soft_play_dough", "stiff_clay", "throwing_clay", "wax", "wet_clay",
+    ]  # fmt: skip
     folder = Path(__file__).resolve().parents[2] / "presets" / "materials"
     for name in names:
-        assert isinstance(Material.preset(name), Material)
+        material = Material.preset(name)
         table = tomllib.loads((folder / f"{name}.toml").read_text(encoding="utf-8"))
         assert table["label"]
-        assert table["source"]
+        assert table["description"]
+        values = {"density", "yield_stress", "viscosity", "shear_modulus", "friction"}
+        assert set(table["material"]) == set(table["source"]) == values
+        assert all(len(text) > 20 for text in table["source"].values())
+        assert all(getattr(material, key) == table["material"][key] for key in values)
 
 
 def test_unknown_preset_lists_those_that_are_there():

@@ -21,7 +21,10 @@ from . import plots
 from .companions import (
     HardCaseResult,
     hard_cases,
+    measure_frames,
     measure_hands,
+    measure_live_surfaces,
+    measure_surfaces,
     run_ablation,
     run_hard_case,
     run_touch,
@@ -121,6 +124,11 @@ def main() -> None:
     if not options.quick:
         say("Measuring soft hands, alone ...")
         report.hands = measure_hands()
+        say("Measuring surfaces ...")
+        report.live_surfaces = measure_live_surfaces()
+        report.surfaces = measure_surfaces()
+        say("Measuring a frame of live sculpting, alone ...")
+        report.frames = measure_frames()
         report.ablation = run_ablation(options.output)
         say("Running touch ...")
         report.touch = run_touch(options.output)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: hard cases, ablation, soft hands, touch.
+"""Parts of the report that modules of their own bring: hard cases, surfaces, hands and others.
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -7,6 +7,7 @@ Each is run where its module stands beside this folder, and left out where it do
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -100,6 +101,16 @@ def run_touch(folder: Path) -> list[str]:
     return list(touch.run_touch(folder)) if touch else []
 
 
+def measure_surfaces() -> list[str]:
+    """Measure how far surfaces are from the shapes that were filled.
+
+    Returns:
+        Lines of Markdown, none where there is no such module.
+    """
+    surfaces = companion("surface_accuracy")
+    return list(surfaces.surface_lines()) if surfaces else []
+
+
 def measure_hands() -> list[str]:
     """Measure what soft hands cost, and how they press.
 
@@ -110,3 +121,27 @@ def measure_hands() -> list[str]:
     if cost is None or press is None:
         return []
     return [*cost.cost_lines(), "", *press.press_lines(), ""]
+
+
+def measure_live_surfaces() -> list[str]:
+    """Measure what surfaces cost while clay is worked, and how far off they are.
+
+    Returns:
+        Lines of Markdown, none where there is no such module.
+    """
+    surface = companion("live_surface")
+    if surface is None:
+        return []
+    return list(surface.surface_lines([surface.measure_surface(size) for size in surface.SIZES]))
+
+
+def measure_frames() -> list[str]:
+    """Measure where the time of a frame of live sculpting goes.
+
+    Returns:
+        Lines of Markdown, none where there is no Blender.
+    """
+    budget = companion("frame_budget")
+    if budget is None or importlib.util.find_spec("bpy") is None:
+        return []
+    return list(budget.budget_lines())

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keyframes written many at a time, a new action for each object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+CONSTANT, LINEAR = 0, 1
+"""How a value goes on from a key to the next, as Blender numbers it."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One animated number of an object."""
+
+    path: str
+    """From the object, as Blender's data paths are."""
+    index: int
+    """Which number of a vector or quaternion; 0 otherwise."""
+    frames: NDArray[Any]
+    """Of the keys, ascending, also between whole frames, shape [K]."""
+    values: NDArray[Any]
+    """At the keys, shape [K]."""
+    interpolation: int = LINEAR
+    """`LINEAR` or `CONSTANT`."""
+    group: str = ""
+    """What the channel is listed under, such as its bone."""
+
+
+def write_channels(item: bpy.types.ID, name: str, channels: Sequence[Channel]) -> None:
+    """Give an object a new action with some channels; the one it had stays in the file.
+
+    Args:
+        item: The object, or another datablock that can be animated.
+        name: Of the action.
+        channels: At least one key each.
+    """
+    animation = item.animation_data or item.animation_data_create()
+    if animation.action is not None:
+        animation.action.use_fake_user = True
+    action = bpy.data.actions.new(name)
+    slot = action.slots.new(id_type=item.id_type, name=item.name)
+    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
+    bag = strip.channelbag(slot, ensure=True)
+    animation.action = action
+    animation.action_slot = slot
+    for channel in channels:
+        curve = bag.fcurves.new(channel.path, index=channel.index)
+        if channel.group:
+            curve.group = bag.groups.get(channel.group) or bag.groups.new(channel.group)
+        points = curve.keyframe_points
+        points.add(len(channel.values))
+        table = np.column_stack([channel.frames, channel.values]).astype(np.float32)
+        points.foreach_set("co", table.ravel())
+        kinds = np.full(len(channel.values), channel.interpolation, np.int32)
+        points.foreach_set("interpolation", kinds)
+        curve.update()
+    item.update_tag()
+
+
+def find_curve(item: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
+    """The curve of one property in an object's own action; None where it has no keys."""
+    animation = item.animation_data
+    if animation is None or animation.action is None or animation.action_slot is None:
+        return None
+    for layer in animation.action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(animation.action_slot)
+            curve = bag.fcurves.find(path) if bag is not None else None
+            if curve is not None:
+                return curve
+    return None
+
+
+def needed(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Which keys say something: not those between two of the same value, shape [K]."""
+    same = values[1:] == values[:-1]
+    kept = np.ones(len(values), bool)
+    kept[1:-1] = ~(same[:-1] & same[1:])
+    if same.all():
+        kept[1:] = False
+    return kept

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Changing the brush's radius or strength by moving the mouse, as Blender's own brushes do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+Adjusted = Literal["radius", "strength"]
+
+_STRENGTH_PIXELS = 200.0
+"""So far the mouse goes from no strength to full strength [pixels]."""
+_PRECISE = 0.1
+LEAST_RADIUS = 1e-4
+"""[m]"""
+
+
+@dataclass
+class Adjustment:
+    """A radius or a strength while it is being chosen."""
+
+    name: Adjusted
+    """What is being chosen."""
+    start: float
+    """What it was: the radius in metres, the strength 0 to 1."""
+    pixel: float
+    """Size of a pixel where the brush is [m]."""
+    x: float
+    """Where the mouse was last [pixels]."""
+    value: float = field(init=False)
+    """What it is by now."""
+
+    def __post_init__(self) -> None:
+        self.value = self.start
+
+    def move(self, x: float, *, precise: bool) -> float:
+        """The mouse has moved sideways.
+
+        Args:
+            x: Where it is [pixels].
+            precise: Whether it counts for a tenth.
+
+        Returns:
+            The new value.
+        """
+        moved = (x - self.x) * (_PRECISE if precise else 1.0)
+        self.x = x
+        if self.name == "radius":
+            self.value = max(self.value + moved * self.pixel, LEAST_RADIUS)
+        else:
+            self.value = min(max(self.value + moved / _STRENGTH_PIXELS, 0.0), 1.0)
+        return self.value

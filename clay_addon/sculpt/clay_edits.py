@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Carrying edits out on the clay objects of a scene: adding, taking away and painting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..clay_points import replace_points, write_colors
+from ..mesh_geometry import local_from_world, transform
+from ..simulation import clay_colors, read_points
+from .edits import Edit, apply_edit
+
+
+def edit_clay(
+    context: bpy.types.Context, clay: Sequence[bpy.types.Object], edits: Sequence[Edit]
+) -> bool:
+    """Do to clay objects what edits say.
+
+    New clay goes to the object that is nearest. An object keeps its last particle, so that it does
+    not vanish under a brush.
+
+    Args:
+        context: Where the objects are.
+        clay: Clay objects.
+        edits: In their order.
+
+    Returns:
+        Whether anything has changed.
+    """
+    scale = context.scene.unit_settings.scale_length
+    shapes = [_read(item, scale) for item in clay]
+    changed = [False] * len(clay)
+    for edit in edits:
+        chosen = range(len(clay))
+        if edit.kind == "add":
+            distances = [_distance(points, edit) for points, _ in shapes]
+            chosen = range(int(np.argmin(distances)), int(np.argmin(distances)) + 1)
+        for which in chosen:
+            points, colors = shapes[which]
+            spacing = clay[which].tactile_clay.spacing * scale
+            result = apply_edit(edit, points, colors, spacing)
+            if not len(result.positions):
+                continue
+            if result.moves_particles or not np.array_equal(result.colors, colors):
+                shapes[which] = result.positions, result.colors
+                changed[which] = True
+    for item, (points, colors), touched in zip(clay, shapes, changed, strict=True):
+        if not touched:
+            continue
+        if len(points) == len(item.data.points):
+            write_colors(item, colors)
+        else:
+            local = transform(local_from_world(item), points / np.float32(scale))
+            replace_points(context, item, local, colors)
+    return any(changed)
+
+
+def _read(item: bpy.types.Object, scale: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """World positions [m] and colours of a clay object's points."""
+    local = read_points(item, "position")
+    assert local is not None
+    world = transform(np.array(item.matrix_world), local) * scale
+    return world.astype(np.float32), clay_colors(item)
+
+
+def _distance(points: NDArray[np.float32], edit: Edit) -> float:
+    return float(
+        np.linalg.norm(points - np.array(edit.center, np.float32), axis=1).min(initial=np.inf)
+    )

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The brush in the 3D view's tool header, and a menu of all tools."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import session
+from .properties import stamp_fault
+from .tools import BY_IDENTIFIER, TOOLS, tool_items
+
+
+class CLAY_OT_sculpt_tool(bpy.types.Operator):  # noqa: N801
+    """Take another tool"""
+
+    bl_idname = "clay.sculpt_tool"
+    bl_label = "Take Tool"
+    # Which tool one holds is no step of Undo.
+    bl_options = {"INTERNAL"}
+
+    tool: bpy.props.EnumProperty(name="Tool", items=tool_items())
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        """What the tool does."""
+        return BY_IDENTIFIER[properties.tool].description
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Take it."""
+        context.scene.tactile_clay_sculpt.tool = self.tool
+        return {"FINISHED"}
+
+
+class CLAY_MT_sculpt_tools(bpy.types.Menu):  # noqa: N801
+    """All tools (Shift Space)."""
+
+    bl_label = "Clay Tools"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the menu."""
+        layout = self.layout
+        for tool in TOOLS:
+            if tool.identifier in ("FINGER", "KNIFE", "SMOOTH", "ADD"):
+                layout.separator()
+            entry = layout.operator("clay.sculpt_tool", text=tool.label, icon=tool.icon)
+            entry.tool = tool.identifier
+
+
+def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
+    """The brush's settings, those that its tool knows.
+
+    Args:
+        layout: Where to draw.
+        properties: ``Scene.tactile_clay_sculpt``.
+        compact: In one line, for a header.
+    """
+    tool = BY_IDENTIFIER[properties.tool]
+    unnamed = {"text": ""} if compact else {}
+    row = layout.row(align=True)
+    row.label(icon=tool.icon)
+    row.menu("CLAY_MT_sculpt_tools", text=tool.label)
+    if not compact:
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+    if tool.identifier == "NONE":
+        return
+    if tool.identifier == "STAMP":
+        layout.prop(properties, "stamp", **unnamed)
+        fault = stamp_fault(properties.stamp)
+        if fault:
+            layout.label(text=fault if not compact else "Not closed", icon="ERROR")
+    layout.prop(properties, "radius")
+    row = layout.row(align=True)
+    if tool.path != "view":
+        row.prop(properties, "strength")
+        row.prop(properties, "use_pressure", text="", icon="STYLUS_PRESSURE")
+    if tool.edit in ("add", "paint"):
+        layout.prop(properties, "color", **unnamed)
+    row = layout.row(align=True, heading="" if compact else "Mirror")
+    if compact:
+        row.label(icon="MOD_MIRROR")
+    for name in ("mirror_x", "mirror_y", "mirror_z"):
+        row.prop(properties, name, toggle=True)
+
+
+def _draw_in_header(self: Any, context: bpy.types.Context) -> None:
+    if session.current is None:
+        return
+    layout = self.layout
+    layout.separator()
+    draw_brush(layout, context.scene.tactile_clay_sculpt, compact=True)
+    layout.operator("clay.sculpt_finish", icon="CHECKMARK")
+
+
+_CLASSES = (CLAY_OT_sculpt_tool, CLAY_MT_sculpt_tools)
+
+
+def register() -> None:
+    """Register the menu, and append to the tool header."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.VIEW3D_HT_tool_header.append(_draw_in_header)
+
+
+def unregister() -> None:
+    """Take them away."""
+    bpy.types.VIEW3D_HT_tool_header.remove(_draw_in_header)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mirrored copies of a tool: about the planes through the clay object's origin.
+
+Those are the planes that Blender's own sculpt mode mirrors about, and Make Clay puts the origin in
+the middle of the meshes that it takes, so a symmetric thing stays symmetric wherever it stands.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+SNAP = 0.3
+"""A tool nearer than this to a mirror plane works on the plane, without its copy [brush radii].
+
+Two tools in nearly the same place would squeeze the clay between them out with force.
+"""
+
+
+def mirror_matrices(
+    axes: tuple[bool, bool, bool], frame: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """World to mirrored world for each copy, the tool itself first; shape [4, 4] each.
+
+    Args:
+        axes: Whether X, Y, Z mirror.
+        frame: World from the frame whose planes mirror [m], shape [4, 4].
+    """
+    back = np.linalg.inv(frame)
+    signs = product(*((1.0, -1.0) if used else (1.0,) for used in axes))
+    return [frame @ np.diag([*sign, 1.0]) @ back for sign in signs]
+
+
+def snap_to_planes(
+    point: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    radius: float,
+    axes: tuple[bool, bool, bool],
+    frame: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[bool, bool, bool]]:
+    """Bring a tool that is near a mirror plane onto it.
+
+    Args:
+        point: Where the tool is [m], shape [3].
+        normal: Where its handle points, shape [3].
+        radius: Of the brush [m].
+        axes: Whether X, Y, Z mirror.
+        frame: World from the frame whose planes mirror [m], shape [4, 4].
+
+    Returns:
+        The point, the normal, and the axes whose copies coincide with what they copy.
+    """
+    local = frame[:3, :3].T @ (point - frame[:3, 3])
+    way = frame[:3, :3].T @ normal
+    on = tuple(used and abs(local[k]) < SNAP * radius for k, used in enumerate(axes))
+    local = np.where(on, 0.0, local)
+    flat = np.where(on, 0.0, way)
+    size = float(np.linalg.norm(flat))
+    # A surface that lies in the mirror plane itself has no direction left: keep the one it had.
+    way = flat / size if size > 0.1 else way
+    return frame[:3, :3] @ local + frame[:3, 3], frame[:3, :3] @ way, (on[0], on[1], on[2])
+
+
+def used_copies(axes: tuple[bool, bool, bool], coinciding: tuple[bool, bool, bool]) -> list[bool]:
+    """Which of the copies of `mirror_matrices` differ from those before them."""
+    flips = product(*((False, True) if used else (False,) for used in axes))
+    return [not any(f and c for f, c in zip(flip, coinciding, strict=True)) for flip in flips]

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sculpt: the modal operator that runs the live session, and the ways to end it."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..clay_points import keep_sculpted, replace_points
+from . import overlay, session
+from .brush import Brush
+from .properties import SceneSource
+from .session import SculptSession
+from .session_checks import SculptError
+
+_TICK_SECONDS = 1.0 / 120.0
+"""Twice the rate of steps, so that the solver hardly waits for the next tick."""
+_COMPILING_AFTER = 0.5
+"""Getting ready for longer than this [s] means that kernels are being compiled."""
+
+
+class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
+    """Work the clay live, with tracked hands and the mouse; Esc ends and keeps what was done"""
+
+    bl_idname = "clay.sculpt"
+    bl_label = "Sculpt"
+    bl_options = {"REGISTER"}
+
+    _timer: bpy.types.Timer | None = None
+    _session: SculptSession | None = None
+    _brush: Brush | None = None
+    _said = ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only one session at a time."""
+        return session.current is None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Refuse where there is no window: a session goes by the clock of who looks at it."""
+        self.report({"ERROR"}, "Sculpt needs a window. To simulate without one, use Bake.")
+        return {"CANCELLED"}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        try:
+            self._brush = Brush(SceneSource(context.scene))
+            self._session = session.start(context, self._brush)
+            overlay.show(self._brush)
+        except SculptError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        manager = context.window_manager
+        self._timer = manager.event_timer_add(_TICK_SECONDS, window=context.window)
+        manager.modal_handler_add(self)
+        self._say(context)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Do what the timer, the mouse or a key asks for."""
+        running, brush = self._session, self._brush
+        # It may have been ended from elsewhere: Finish, another file, the extension switched off.
+        if running is None or brush is None or session.current is not running:
+            return self._end(context)
+        try:
+            if event.type == "TIMER":
+                news = running.tick(context)
+                self._say(context)
+                if news:
+                    redraw(context)
+                return {"PASS_THROUGH"}
+            if brush.handle(context, event, running.positions):
+                redraw(context)
+                return {"RUNNING_MODAL"}
+            if event.type == "ESC" and event.value == "PRESS":
+                return self._end(context)
+        except SculptError as error:
+            self.report({"ERROR"}, f"Sculpting has ended. {error}")
+            return self._end(context)
+        except BaseException:
+            # Nothing may go on half.
+            self._end(context)
+            raise
+        return {"PASS_THROUGH"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End when Blender ends the operator: another file, the window closed."""
+        self._end(context)
+
+    def _say(self, context: bpy.types.Context) -> None:
+        """Say in the status bar what goes on, where that has changed."""
+        assert self._session is not None and self._brush is not None
+        text = status_text(self._session, self._brush)
+        if text != self._said and context.workspace:
+            context.workspace.status_text_set(text)
+            self._said = text
+
+    def _end(self, context: bpy.types.Context) -> set[str]:
+        running, self._session = self._session, None
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if self._brush is not None:
+            overlay.hide()
+            self._brush.cancel()
+            self._brush = None
+        if running is not None:
+            if session.current is running:
+                session.stop(context)
+            for message in running.messages:
+                self.report({"INFO"}, message)
+        if context.workspace:
+            context.workspace.status_text_set(None)
+        redraw(context)
+        return {"FINISHED"}
+
+
+class CLAY_OT_sculpt_finish(bpy.types.Operator):  # noqa: N801
+    """End sculpting, and keep what was done"""
+
+    bl_idname = "clay.sculpt_finish"
+    bl_label = "Finish"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while a session runs."""
+        return session.current is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """End the session; its operator sees that at its next event."""
+        session.stop(context)
+        return {"FINISHED"}
+
+
+class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
+    """Take back all that the last session did, in one step that Undo can take back itself"""
+
+    bl_idname = "clay.sculpt_revert"
+    bl_label = "Revert Session"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where it is known how the session began, and none runs."""
+        return session.current is None and bool(session.first)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Give each clay object the points it had."""
+        found = 0
+        for name, (local, colors) in session.first.items():
+            item = context.scene.objects.get(name)
+            if item is None or item.type != "POINTCLOUD" or item.tactile_clay.role != "CLAY":
+                continue
+            replace_points(context, item, local, colors)
+            keep_sculpted(item)
+            found += 1
+        if not found:
+            self.report({"ERROR"}, "The clay of that session is no longer in this scene.")
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def status_text(running: SculptSession, brush: Brush) -> str:
+    """What goes on, in a line for the status bar."""
+    seconds = running.compiling_seconds
+    if seconds > _COMPILING_AFTER:
+        return (
+            f"Compiling the clay's kernels: {seconds:.0f} s. This is so once after installing, and "
+            "takes about a minute   Esc: stop"
+        )
+    factor = round(10.0 * running.factor)
+    pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
+    return f"Sculpting{pace}   {brush.status_text()}"
+
+
+def redraw(context: bpy.types.Context) -> None:
+    """Have all 3D views drawn anew."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+@persistent
+def _on_load_pre(*_: object) -> None:
+    # What was sculpted since the file was saved goes with it, as all that was not saved.
+    session.stop(None)
+
+
+@persistent
+def _on_undo(*_: object) -> None:
+    if session.current is not None:
+        session.current.undone()
+
+
+@persistent
+def _on_save_pre(*_: object) -> None:
+    if session.current is not None:
+        session.current.before_saving(bpy.context.scene)
+
+
+@persistent
+def _on_save_post(*_: object) -> None:
+    if session.current is not None:
+        session.current.autosave.forget()
+
+
+_HANDLERS = (
+    ("load_pre", _on_load_pre),
+    ("undo_post", _on_undo),
+    ("redo_post", _on_undo),
+    ("save_pre", _on_save_pre),
+    ("save_post", _on_save_post),
+)
+_CLASSES = (CLAY_OT_sculpt, CLAY_OT_sculpt_finish, CLAY_OT_sculpt_revert)
+
+
+def register() -> None:
+    """Register the operators and the handlers."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler not in handlers:
+            handlers.append(handler)
+
+
+def unregister() -> None:
+    """End a session that runs; take all away."""
+    session.stop(bpy.context)
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The *Sculpt* panel in the sidebar's *Clay* tab."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..preferences import draw_text
+from ..simulation import clay_objects
+from . import autosave, session
+from .header import draw_brush
+
+
+class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
+    """Working clay live."""
+
+    bl_label = "Sculpt"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "Clay"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        running = session.current
+        properties = context.scene.tactile_clay
+        if autosave.message:
+            draw_text(layout.box(), autosave.message, icon="RECOVER_LAST")
+        if running is None:
+            column = layout.column()
+            clay = clay_objects(context.scene)
+            column.enabled = bool(clay)
+            column.scale_y = 1.3
+            column.operator("clay.sculpt", icon="SCULPTMODE_HLT")
+            if session.first:
+                layout.operator("clay.sculpt_revert", icon="LOOP_BACK")
+            row = layout.row(align=True)
+            row.prop(properties, "record_take", icon="REC")
+            row.operator("clay.take_recover", text="", icon="RECOVER_LAST")
+            if any(item.tactile_clay.take_start is not None for item in clay):
+                layout.operator("clay.bake_again", icon="RENDER_ANIMATION")
+        else:
+            column = layout.column()
+            column.scale_y = 1.3
+            column.operator("clay.sculpt_finish", icon="CHECKMARK")
+            draw_text(layout, speed_text(running), icon="TIME")
+            for message in running.messages:
+                draw_text(layout.box(), message, icon="INFO")
+        draw_brush(layout.column(), context.scene.tactile_clay_sculpt, compact=False)
+
+
+def speed_text(running: session.SculptSession) -> str:
+    """How fast simulated time goes by, in words."""
+    if not running.pace.started:
+        return "Getting ready …"
+    if running.factor > 0.95:
+        return "Real time"
+    return f"{running.factor:.0%} of real time"
+
+
+def register() -> None:
+    """Register the panel."""
+    bpy.utils.register_class(CLAY_PT_sculpt)
+
+
+def unregister() -> None:
+    """Unregister it."""
+    bpy.utils.unregister_class(CLAY_PT_sculpt)

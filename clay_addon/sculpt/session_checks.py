@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether the clay of a scene is free to be sculpted."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import bake_operators
+from ..pack import is_packed
+from ..preferences import missing_parts
+from ..simulation import clay_objects
+
+
+class SculptError(Exception):
+    """A session cannot start or go on; the message says why and what to do."""
+
+
+def check_free(scene: bpy.types.Scene) -> None:
+    """Refuse where something else has the clay.
+
+    Raises:
+        SculptError: It is baked, rendered, packed or linked; the message says what to do.
+    """
+    for sentence in missing_parts():
+        raise SculptError(sentence)
+    if bake_operators.running is not None:
+        raise SculptError("A bake is running. Press Esc to stop it first.")
+    if bpy.app.is_job_running("RENDER"):
+        raise SculptError("Blender is rendering. Sculpt when it has done.")
+    for item in clay_objects(scene):
+        if is_packed(item):
+            raise SculptError(
+                f"{item.name!r} plays frames packed in the .blend. Unpack them first (Clay > Bake)."
+            )
+        if item.library is not None or item.data.library is not None:
+            raise SculptError(f"{item.name!r} is linked from another file. Make it local first.")

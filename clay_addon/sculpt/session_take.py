@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The take of a live session, where one is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cache import CacheError
+from ..simulation import Simulation
+from .edits import Edit
+from .settings import ToolMesh
+from .take import Mark, TakeError, TakeRecorder
+
+
+class SessionTake:
+    """Records a session from the moment its solver is first built, if the scene asks for it.
+
+    A take that cannot go on ends there; the session does.
+
+    Args:
+        wanted: Whether to record.
+    """
+
+    def __init__(self, *, wanted: bool) -> None:
+        self._wanted = wanted
+        self._recorder: TakeRecorder | None = None
+        self._ended: TakeRecorder | None = None
+        self._start = Mark(0.0, 0)
+        self.messages: list[str] = []
+        """What a person should know of it, in sentences."""
+
+    @property
+    def mark(self) -> Mark | None:
+        """This moment of the take; None where none is recorded."""
+        return self._recorder.mark() if self._recorder is not None else None
+
+    def begin(
+        self, scene: bpy.types.Scene, simulation: Simulation, meshes: Sequence[ToolMesh]
+    ) -> None:
+        """Begin to record, where that is wanted and was not begun."""
+        if not self._wanted:
+            return
+        self._wanted = False
+        try:
+            self._recorder = TakeRecorder.begin(scene, simulation)
+        except TakeError as error:
+            self.messages.append(f"No take is recorded: {error}")
+            return
+        self._recorder.use_tools(meshes)
+        self._start = self._recorder.mark()
+
+    def look(
+        self, depsgraph: bpy.types.Depsgraph, poses: Sequence[tuple[NDArray[np.float64], bool]]
+    ) -> None:
+        """Note what the solver was told for its next step."""
+        if self._recorder is not None:
+            self._recorder.look(depsgraph, poses)
+
+    def step(self, duration: float, positions: NDArray[np.float32]) -> None:
+        """Note what a step came to: world positions [Blender units], shape [N, 3]."""
+        if self._recorder is not None:
+            self._recorder.step(duration, positions)
+
+    def edit(self, edits: Sequence[Edit]) -> None:
+        """Note what was done to the clay beside that."""
+        if self._recorder is not None:
+            for edit in edits:
+                parameters = asdict(edit)
+                self._recorder.edit(parameters.pop("kind"), parameters)
+
+    def rebuilt(self, simulation: Simulation, meshes: Sequence[ToolMesh]) -> None:
+        """Go on with a solver that was built anew."""
+        if self._recorder is not None:
+            self._recorder.use_tools(meshes)
+            self._try(partial(self._recorder.rebuilt, simulation))
+
+    def rewind(self, mark: Mark | None, simulation: Simulation) -> None:
+        """Go back to a moment; to the beginning where it is not known."""
+        if self._recorder is not None:
+            self._try(partial(self._recorder.rewind, mark or self._start, simulation))
+
+    def finish(self, scene: bpy.types.Scene | None) -> bool:
+        """End the take, and put it on the timeline.
+
+        Args:
+            scene: None where it is gone; then the take is on the disk alone.
+
+        Returns:
+            Whether it is on the timeline.
+        """
+        recorder = self._recorder or self._ended
+        self._recorder = self._ended = None
+        if recorder is None:
+            return False
+        if scene is None:
+            recorder.leave()
+            return False
+        try:
+            stored = recorder.finish(scene)
+        except (TakeError, CacheError) as error:
+            self.messages.append(str(error))
+            return False
+        self.messages += stored.warnings
+        self.messages.append(f"Take on frames {stored.first} to {stored.last}")
+        return True
+
+    def _try(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except TakeError as error:
+            self.messages.append(str(error))
+            self._recorder, self._ended = None, self._recorder

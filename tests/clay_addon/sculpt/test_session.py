@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The live session, ticked by hand against a clock of its own."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+import trimesh
+
+from tactile_clay.clay_addon import playback
+from tactile_clay.clay_addon.bake import BakeError, bake
+from tactile_clay.clay_addon.clay_points import is_sculpted
+from tactile_clay.clay_addon.sculpt import session as sessions
+from tactile_clay.clay_addon.sculpt.edits import Edit
+from tactile_clay.clay_addon.sculpt.session import SculptSession
+from tactile_clay.clay_addon.sculpt.session_checks import SculptError
+from tactile_clay.clay_addon.sculpt.settings import ToolMesh
+
+
+@dataclass
+class Finger:
+    """A tool in the mouse's place: a ball that is moved by the test."""
+
+    height: float = 0.1
+    """Of its middle [m]."""
+    enabled: bool = False
+    stroking: bool = False
+    mesh_key: Any = "ball"
+    poses_asked: list[float] = field(default_factory=list)
+    edits: list[Edit] = field(default_factory=list)
+
+    def meshes(self) -> list[ToolMesh]:
+        """One ball of a centimetre."""
+        ball = trimesh.creation.icosphere(2, 0.01)
+        return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
+
+    def poses(self, duration: float) -> list[tuple[Any, bool]]:
+        """Above the clay, or in it."""
+        self.poses_asked.append(duration)
+        pose = np.eye(4)
+        pose[2, 3] = self.height
+        return [(pose, self.enabled)]
+
+    def take_edits(self) -> list[Edit]:
+        """What the test asks for."""
+        edits, self.edits = self.edits, []
+        return edits
+
+
+class Clock:
+    """Time that passes when it is told to."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        """Seconds."""
+        return self.now
+
+
+@dataclass
+class Sculpting:
+    """A session, its tool and its clock."""
+
+    session: SculptSession
+    finger: Finger
+    clock: Clock
+
+    def run(self, seconds: float) -> None:
+        """Let time pass, a tick at a time, each as long as its step takes."""
+        for _ in range(round(seconds * 60)):
+            self.clock.now += 1 / 60
+            self.session.wait()
+            self.session.tick(bpy.context)
+        self.session.wait()
+        self.session.tick(bpy.context)
+
+    def press(self, bottom: float, *, seconds: float = 0.25) -> None:
+        """Press the finger down until its lowest point is at a height [m], and lift it."""
+        self.finger.enabled = self.finger.stroking = True
+        top, low = self.finger.height, bottom + 0.01
+        for part in np.linspace(0.0, 1.0, round(seconds * 60)):
+            self.finger.height = top + (low - top) * part
+            self.run(1 / 60)
+        for part in np.linspace(1.0, 0.0, 15):
+            self.finger.height = top + (low - top) * part
+            self.run(1 / 60)
+        self.finger.enabled = self.finger.stroking = False
+        self.run(0.05)
+
+
+@pytest.fixture
+def sculpting(studio: Any, tmp_path: Path) -> Iterator[Sculpting]:
+    """A session over a block of clay that lies on a table."""
+    clay = studio.clay(location=(0.0, 0.0, 0.02))
+    studio.table()
+    studio.save(tmp_path)
+    finger, clock = Finger(), Clock()
+    running = SculptSession(bpy.context, tools=finger, clock=clock)
+    sessions.current = running
+    assert len(clay.data.points) == 64
+    yield Sculpting(running, finger, clock)
+    sessions.stop(bpy.context)
+
+
+def top_of(studio: Any, clay: Any) -> float:
+    """Height of the clay's middle [m]."""
+    points = studio.points(clay)
+    return float(points[np.linalg.norm(points[:, :2], axis=1) < 0.012, 2].max())
+
+
+def test_clay_follows_the_tool_and_keeps_its_shape(studio: Any, sculpting: Sculpting) -> None:
+    """Dent the clay, and make the dent what a bake starts from."""
+    clay = studio.scene.objects["Clay"]
+    sculpting.run(0.2)
+    before = top_of(studio, clay)
+    sculpting.press(0.025)
+    dented = top_of(studio, clay)
+    assert before - dented > 0.005
+    assert is_sculpted(clay)
+    kept = studio.points(clay, "rest_position")
+    np.testing.assert_allclose(studio.points(clay), kept, atol=1e-4)
+    sculpting.run(0.3)
+    assert abs(top_of(studio, clay) - dented) < 0.002
+
+
+def test_simulated_time_goes_by_the_clock(sculpting: Sculpting) -> None:
+    """Simulate as much time as passes, and say so."""
+    sculpting.run(0.5)
+    assert sculpting.session.pace.simulated == pytest.approx(0.5, abs=0.04)
+    assert sculpting.session.factor == pytest.approx(1.0, abs=0.05)
+
+
+def test_undo_brings_back_the_state_of_the_solver(studio: Any, sculpting: Sculpting) -> None:
+    """Go on from an undone state exactly as from that state before."""
+    clay = studio.scene.objects["Clay"]
+    session = sculpting.session
+    sculpting.run(0.2)
+    sculpting.press(0.03)
+    first = studio.points(clay)
+    state = session.undo.state(studio.scene)
+    assert state is not None
+    mark = clay.data["clay_state"]
+    sculpting.press(0.02)
+    assert float(np.abs(studio.points(clay) - first).max()) > 0.003
+    # What Blender's own Undo does to the points.
+    inverse = np.linalg.inv(np.array(clay.matrix_world))
+    local = first @ inverse[:3, :3].T + inverse[:3, 3]
+    clay.data.attributes["position"].data.foreach_set("vector", local.astype(np.float32).ravel())
+    clay.data["clay_state"] = mark
+    session.undone()
+    session.tick(bpy.context)
+    session.wait()
+    restored = session.simulation.snapshot()
+    assert session.undo.state(studio.scene) is state
+    np.testing.assert_array_equal(restored["position"], state["position"])
+    np.testing.assert_allclose(session.positions, first, atol=1e-6)
+
+
+def test_clay_that_comes_and_goes_is_taken_up(studio: Any, sculpting: Sculpting) -> None:
+    """Go on when clay is duplicated, renamed, hidden and deleted."""
+    session = sculpting.session
+    sculpting.run(0.1)
+    clay = studio.scene.objects["Clay"]
+    other = clay.copy()
+    other.data = clay.data.copy()
+    other.location.x += 0.1
+    studio.scene.collection.objects.link(other)
+    bpy.context.view_layer.update()
+    sculpting.run(0.1)
+    assert [part.count for part in session.simulation.parts] == [64, 64]
+    other.name = "Another"
+    sculpting.run(0.1)
+    assert [part.name for part in session.simulation.parts] == ["Another", "Clay"]
+    clay.hide_viewport = True
+    bpy.context.view_layer.update()
+    sculpting.run(0.1)
+    assert [part.name for part in session.simulation.parts] == ["Another"]
+    clay.hide_viewport = False
+    bpy.data.objects.remove(other)
+    sculpting.run(0.1)
+    assert [part.name for part in session.simulation.parts] == ["Clay"]
+    bpy.data.objects.remove(clay)
+    with pytest.raises(SculptError, match="no clay"):
+        sculpting.run(0.1)
+
+
+def test_moved_clay_stays_where_it_was_moved(studio: Any, sculpting: Sculpting) -> None:
+    """Take clay up where it was moved to."""
+    clay = studio.scene.objects["Clay"]
+    sculpting.run(0.1)
+    before = studio.points(clay)
+    clay.location.x += 0.05
+    bpy.context.view_layer.update()
+    sculpting.run(0.2)
+    np.testing.assert_allclose(studio.points(clay)[:, 0], before[:, 0] + 0.05, atol=1e-3)
+
+
+def test_a_bake_no_longer_shows_over_sculpted_clay(studio: Any, sculpting: Sculpting) -> None:
+    """Leave sculpted clay alone when the frame changes, until it is baked again."""
+    clay = studio.scene.objects["Clay"]
+    sessions.stop(bpy.context)
+    bake(bpy.context, end=3)
+    finger, clock = Finger(), Clock()
+    again = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+    again.run(0.1)
+    again.press(0.025)
+    again.session.finish(bpy.context)
+    shape = studio.points(clay)
+    studio.scene.frame_set(2)
+    np.testing.assert_array_equal(studio.points(clay), shape)
+    assert "sculpted since" in playback.message(studio.scene)
+    bake(bpy.context, end=3)
+    studio.scene.frame_set(1)
+    assert not playback.message(studio.scene)
+    np.testing.assert_allclose(studio.points(clay), shape, atol=1e-6)
+
+
+def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpting) -> None:
+    """Refuse a bake while the clay is sculpted, and leave the clay alone when the frame changes."""
+    clay = studio.scene.objects["Clay"]
+    with pytest.raises(BakeError, match="being sculpted"):
+        bake(bpy.context, end=3)
+    sculpting.run(0.1)
+    sculpting.press(0.025)
+    shape = studio.points(clay)
+    studio.scene.frame_set(2)
+    np.testing.assert_array_equal(studio.points(clay), shape)
+
+
+def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_path: Path) -> None:
+    """Leave no autosave, no paused playback and no session."""
+    sculpting.run(0.1)
+    sculpting.press(0.025)
+    sessions.stop(bpy.context)
+    assert sessions.current is None
+    assert not list(tmp_path.glob("*autosave*"))
+    assert playback._pauses == 0
+
+
+def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
+    """Change the number of particles and their colours, and go on simulating."""
+    clay = studio.scene.objects["Clay"]
+    sculpting.run(0.1)
+    blue = (0.0, 0.0, 1.0, 1.0)
+    sculpting.finger.edits = [Edit("add", (0.0, 0.0, 0.06), 0.02, color=blue)]
+    sculpting.run(0.2)
+    added = len(clay.data.points) - 64
+    # A ball that partly lies in the block.
+    assert 10 < added < 34
+    assert sum(part.count for part in sculpting.session.simulation.parts) == 64 + added
+    assert is_sculpted(clay) is False
+    sculpting.run(0.6)
+    # It is kept like a stroke.
+    assert is_sculpted(clay)
+    sculpting.finger.edits = [
+        Edit("paint", (0.0, 0.0, 0.0), 0.01, color=blue),
+        Edit("remove", (0.0, 0.0, 0.06), 0.025),
+    ]
+    sculpting.run(0.2)
+    assert len(clay.data.points) < 64 + added
+    sculpting.finger.edits = [Edit("remove", (0.0, 0.0, 0.0), 1.0)]
+    sculpting.run(0.1)
+    # The last clay of an object is not taken away.
+    assert len(clay.data.points) > 0
+    assert len(clay.data.attributes["rest_position"].data) == len(clay.data.points)
+
+
+def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
+    """Say what is missing, and leave all as it is."""
+    with pytest.raises(SculptError, match="no clay"):
+        SculptSession(bpy.context)
+    assert playback._pauses == 0
