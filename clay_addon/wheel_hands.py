@@ -19,8 +19,8 @@ from .hand_reading import hand_armature
 
 HAND_LENGTH = 0.19
 """From wrist to fingertip [m]."""
-LAST_FRAME = 240
-PEDAL = ((1, 0.0), (20, 100.0), (208, 100.0), (236, 0.0))
+LAST_FRAME = 265
+PEDAL = ((1, 0.0), (20, 100.0), (234, 100.0), (260, 0.0))
 """Frames, and the wheel's speed [rpm] there."""
 _FRICTION = 0.03
 """Coulomb friction coefficient of wet hands."""
@@ -43,7 +43,7 @@ _FINGER = replace(
     middle=(0.0, 66.0, 84.0, 36.0),
     thumb=(10.0, 4.0, 30.0, 20.0, 20.0),
 )
-_INSIDE = HandHold(_FINGER, (-0.10, -0.22, -0.97), (1.0, -0.2, 0.0), ("index_tip",))
+_INSIDE = HandHold(_FINGER, (-0.05, -0.15, -0.99), (1.0, -0.2, 0.0), ("index_tip",))
 _FINGERS = replace(
     POSES["flat"],
     index=(-1.0, 10.0, 8.0, 4.0),
@@ -56,30 +56,30 @@ _OUTSIDE = HandHold(_FINGERS, (0.10, -0.50, -0.86), (-1.0, 0.0, -0.1), ("index_t
 
 _RIGHT = (
     HandKey(1, _CUP_RIGHT, (-0.13, 0.0, 0.08)),
-    HandKey(22, _CUP_RIGHT, (-0.080, 0.0, 0.040)),
-    HandKey(56, _CUP_RIGHT, (-0.0665, 0.0, 0.040)),
-    HandKey(62, _CUP_RIGHT, (-0.0665, 0.0, 0.040)),
-    HandKey(68, _CUP_RIGHT, (-0.072, 0.0, 0.040)),
-    HandKey(112, _CUP_RIGHT, (-0.073, 0.0, 0.040)),
-    HandKey(190, _CUP_RIGHT, (-0.0735, 0.0, 0.042)),
-    HandKey(200, _CUP_RIGHT, (-0.0735, 0.0, 0.042)),
-    HandKey(208, _CUP_RIGHT, (-0.090, 0.0, 0.050)),
-    HandKey(240, _CUP_RIGHT, (-0.20, 0.08, 0.14)),
+    HandKey(22, _CUP_RIGHT, (-0.084, 0.0, 0.036)),
+    HandKey(56, _CUP_RIGHT, (-0.0715, 0.0, 0.036)),
+    HandKey(62, _CUP_RIGHT, (-0.0715, 0.0, 0.036)),
+    HandKey(68, _CUP_RIGHT, (-0.0760, 0.0, 0.036)),
+    HandKey(130, _CUP_RIGHT, (-0.0760, 0.0, 0.037)),
+    HandKey(215, _CUP_RIGHT, (-0.0760, 0.0, 0.040)),
+    HandKey(222, _CUP_RIGHT, (-0.0760, 0.0, 0.040)),
+    HandKey(230, _CUP_RIGHT, (-0.092, 0.0, 0.048)),
+    HandKey(265, _CUP_RIGHT, (-0.20, 0.08, 0.14)),
 )
 _LEFT = (
     HandKey(1, _CUP_LEFT, (0.13, 0.0, 0.08)),
-    HandKey(22, _CUP_LEFT, (0.080, 0.0, 0.040)),
-    HandKey(56, _CUP_LEFT, (0.0665, 0.0, 0.040)),
-    HandKey(62, _CUP_LEFT, (0.0665, 0.0, 0.040)),
-    HandKey(68, _CUP_LEFT, (0.110, 0.01, 0.060)),
-    HandKey(78, _INSIDE, (0.040, 0.02, 0.120)),
-    HandKey(84, _INSIDE, (0.0, 0.0, 0.078)),
-    HandKey(120, _INSIDE, (0.0, 0.0, 0.020)),
-    HandKey(190, _INSIDE, (-0.022, 0.0, 0.020)),
-    HandKey(196, _INSIDE, (-0.022, 0.0, 0.020)),
-    HandKey(206, _INSIDE, (-0.008, 0.0, 0.060)),
-    HandKey(216, _INSIDE, (0.0, 0.01, 0.130)),
-    HandKey(240, _INSIDE, (0.14, 0.10, 0.20)),
+    HandKey(22, _CUP_LEFT, (0.084, 0.0, 0.036)),
+    HandKey(56, _CUP_LEFT, (0.0715, 0.0, 0.036)),
+    HandKey(62, _CUP_LEFT, (0.0715, 0.0, 0.036)),
+    HandKey(70, _CUP_LEFT, (0.125, 0.01, 0.060)),
+    HandKey(80, _INSIDE, (0.040, 0.02, 0.130)),
+    HandKey(88, _INSIDE, (0.0, 0.0, 0.066)),
+    HandKey(130, _INSIDE, (0.0, 0.0, 0.021)),
+    HandKey(215, _INSIDE, (-0.028, 0.0, 0.021)),
+    HandKey(222, _INSIDE, (-0.028, 0.0, 0.021)),
+    HandKey(232, _INSIDE, (-0.010, 0.0, 0.060)),
+    HandKey(242, _INSIDE, (0.0, 0.01, 0.130)),
+    HandKey(265, _INSIDE, (0.14, 0.10, 0.20)),
 )
 
 

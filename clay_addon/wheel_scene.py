@@ -106,7 +106,7 @@ def _add_lump(context: bpy.types.Context) -> bpy.types.Object:
     for vertex in item.data.vertices:
         bump = noise.noise(1.3 * vertex.co + Vector((3.1, 0.4, 7.7)))
         vertex.co *= 1.0 + 0.10 * bump
-        vertex.co.z = 0.72 * max(vertex.co.z, -0.6)
+        vertex.co.z = 0.56 * max(vertex.co.z, -0.6)
     item.data.materials.append(plain_material("Wet earthenware", _CLAY_COLOR, 0.4))
     context.view_layer.update()
     vertices, triangles = evaluated_mesh(item, context.evaluated_depsgraph_get())
@@ -197,8 +197,8 @@ def _metal() -> bpy.types.Material:
     blotches.inputs["Distortion"].default_value = 0.8
     ramp = tree.nodes.new("ShaderNodeValToRGB")
     low, high = ramp.color_ramp.elements
-    low.position, high.position = 0.50, 0.60
-    low.color, high.color = (0.50, 0.51, 0.52, 1.0), (0.40, 0.21, 0.125, 1.0)
+    low.position, high.position = 0.54, 0.62
+    low.color, high.color = (0.44, 0.45, 0.46, 1.0), (0.30, 0.20, 0.145, 1.0)
     tree.links.new(place.outputs["Object"], blotches.inputs["Vector"])
     tree.links.new(blotches.outputs[0], ramp.inputs["Fac"])
     tree.links.new(ramp.outputs["Color"], shader.inputs["Base Color"])

@@ -35,6 +35,7 @@ def key_speeds(wheel: Any, keys: dict[int, float], interpolation: str = "LINEAR"
         wheel.tactile_clay.wheel_speed = speed
         wheel.keyframe_insert("tactile_clay.wheel_speed", frame=frame)
     curve = speed_curve(wheel)
+    assert curve is not None
     for key in curve.keyframe_points:
         key.interpolation = interpolation
     return curve
