@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..collider import TAKE_TOOL
 from ..keyed_channels import CONSTANT, Channel, needed, write_channels
 from ..tracking.armature import CONTACT_PROPERTY
-from .take_files import Layout, Steps, Take, ToolShape, frame_count
+from .take_data import Layout, Steps, Take, ToolShape, frame_count
 
 TOOL_COLLECTION = "Take Tools"
 _NUMERIC_NOISE = 1e-6
