@@ -42,6 +42,7 @@ _MODULES = (
     "sculpt.overlay",
     "sculpt.header",
     "sculpt.panel",
+    "sculpt.keymaps",
 )
 """Submodules with a `register` and an `unregister`, in the order of registering."""
 

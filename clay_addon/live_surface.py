@@ -15,7 +15,8 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
-from .look import MODIFIER_NAME, clay_material
+from .look import MODIFIER_NAME
+from .look_material import clay_material
 from .surface_mesh import fill_surface_mesh
 from .surface_worker import Part, SurfaceWorker
 
@@ -63,9 +64,9 @@ class LiveSurface:
         self.spacing = clay_objects[0].tactile_clay.spacing
         quick = QuickSurface(self.spacing)
         load_kernels()
-        # By name: Undo makes new objects of the old ones.
-        self._scene_name = context.scene.name
-        self._clay_names = [item.name for item in clay_objects]
+        # Undo makes new objects of the old ones, with the same identifiers.
+        self._scene_id = context.scene.session_uid
+        self._clay_ids = [item.session_uid for item in clay_objects]
         sweep(context.scene)
         self._worker: SurfaceWorker | None = SurfaceWorker(quick)
         self._shown: object = None
@@ -78,10 +79,14 @@ class LiveSurface:
         return self._worker.finished().problem if self._worker else ""
 
     @property
+    def seconds(self) -> float:
+        """How long a surface takes, on its own thread; about that. 0 before the first."""
+        return self._worker.seconds if self._worker else 0.0
+
+    @property
     def keeps_pace(self) -> bool:
         """Whether surfaces are made fast enough to show the clay while it moves."""
-        seconds = self._worker.seconds if self._worker else 0.0
-        return seconds + self._writing_seconds <= LONGEST_SECONDS
+        return self.seconds + self._writing_seconds <= LONGEST_SECONDS
 
     def offer(self, parts: Sequence[Part]) -> None:
         """Hand over where the clay is now; never waits.
@@ -95,7 +100,7 @@ class LiveSurface:
 
     def show(self) -> bool:
         """Show the newest surface that is finished; whether that changed anything."""
-        if self._worker is None:
+        if self._worker is None or self._scene() is None:
             return False
         finished = self._worker.finished()
         surface = finished.surface
@@ -152,11 +157,13 @@ class LiveSurface:
             _hide(clay, scene, to_surface)
 
     def _scene(self) -> bpy.types.Scene | None:
-        return bpy.data.scenes.get(self._scene_name)
+        found = (scene for scene in bpy.data.scenes if scene.session_uid == self._scene_id)
+        return next(found, None)
 
     def _clay(self) -> list[bpy.types.Object]:
-        found = (bpy.data.objects.get(name) for name in self._clay_names)
-        return [item for item in found if item is not None]
+        scene = self._scene()
+        own = {item.session_uid: item for item in scene.objects} if scene else {}
+        return [own[identifier] for identifier in self._clay_ids if identifier in own]
 
     def _object(self) -> bpy.types.Object:
         """The object that stands for the clay, made where there is none."""
@@ -235,7 +242,7 @@ def _on_reload(*_: object) -> None:
             live.leave()
             live.show()
     for scene in bpy.data.scenes:
-        if scene.name not in {live._scene_name for live in _open}:
+        if scene.session_uid not in {live._scene_id for live in _open}:
             sweep(scene)
 
 

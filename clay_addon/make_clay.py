@@ -12,7 +12,7 @@ from mathutils.kdtree import KDTree
 from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError, check_closed_mesh, mesh_volume
-from .look import add_look
+from .look import add_look, show_colors
 from .material_presets import SCENE, find_material, operator_items
 from .mesh_geometry import (
     SWITCHED_OFF,
@@ -408,6 +408,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
         finally:
             if window and not bpy.app.background:
                 window.cursor_modal_restore()
+        show_colors()
         self.report({"INFO"}, f"{clay.name}: {len(clay.data.points):,} particles")
         return {"FINISHED"}
 

@@ -24,7 +24,7 @@ SMOOTHING = 12
 """Passes that flatten the trace of the particles."""
 FARTHEST_SMOOTHED = 0.12
 """They move no vertex by more than this, so that a crumb does not shrink to nothing."""
-COLOR_SMOOTHING = 1
+COLOR_SMOOTHING = 2
 """Passes that soften borders between colours."""
 STILL = 0.005
 """While no particle has moved by more than this the surface stays as it is."""
@@ -57,11 +57,11 @@ class QuadSurface:
 class QuickSurface:
     """Makes surfaces of one clay, frame after frame, in a few milliseconds.
 
-    A density of the particles, smoothed over three quarters of their distance, is contoured by a net
-    of quads (Gibson 1998, doi:10.1007/BFb0056277) and its last bumps are smoothed away. Half of the
-    density inside is where a flat face lies, so nothing has to be moved afterwards. Particles at
-    thin parts, where the density falls short, weigh more. All runs on one thread of the processor,
-    and other Python threads run meanwhile.
+    A density of the particles, smoothed over three quarters of their distance, is contoured by a
+    net of quads (Gibson 1998, doi:10.1007/BFb0056277) and its last bumps are smoothed away. Half of
+    the density inside is where a flat face lies, so nothing has to be moved afterwards. Particles
+    at thin parts, where the density falls short, weigh more. All runs on one thread of the
+    processor, and other Python threads run meanwhile.
 
         quick = QuickSurface(spacing=0.005)
         surface = quick.reconstruct(positions, colors)

@@ -49,7 +49,7 @@ class Blocks:
     highest: wp.array[float]
 
 
-# A hash table with open addressing. Particles ask for their own block, blocks for those around them.
+# A hash table with open addressing. Particles ask for their block, blocks for those around them.
 @wp.func_native(
     """{
     typedef long long i64;
@@ -239,7 +239,8 @@ BLUR = (
     } else {
         for (int row = 0; row < 512; row += 8) {
             const f8 l = load(a + row), m = load(b + row), n = load(c + row);
-            #define AT(v, w, k) __builtin_shufflevector(v, w, k, k + 1, k + 2, k + 3, k + 4, k + 5, k + 6, k + 7)
+            #define AT(v, w, k) __builtin_shufflevector( \\
+                v, w, k, k + 1, k + 2, k + 3, k + 4, k + 5, k + 6, k + 7)
             const f8 sum = 70.f * m + 56.f * (AT(l, m, 7) + AT(m, n, 1))
                          + 28.f * (AT(l, m, 6) + AT(m, n, 2)) + 8.f * (AT(l, m, 5) + AT(m, n, 3))
                          + (AT(l, m, 4) + AT(m, n, 4));

@@ -29,7 +29,8 @@ wp.set_module_options(OPTIONS)
         }
     };
     f4 *value = (f4*)values.data, *a = (f4*)net.scratch.data, *b = a + net.scratch.shape[1];
-    for (int pass = 0; pass < passes; pass++) blur(pass ? (pass & 1 ? a : b) : value, pass & 1 ? b : a);
+    for (int pass = 0; pass < passes; pass++)
+        blur(pass ? (pass & 1 ? a : b) : value, pass & 1 ? b : a);
     f4 *once = passes & 1 ? a : b, *spare = passes & 1 ? b : a;
     if (farthest == 0.f) {
         for (int v = 0; v < count; v++) value[v] = once[v];

@@ -104,7 +104,8 @@ LOOK = """
             inside[x][y] = bits | is_inside(look(b, x, y, 8)) << 8;
         }
         for (int x = 0; x < 8; x++) for (int y = 0; y < 8; y++) {
-            const int r[4] = {inside[x][y], inside[x][y + 1], inside[x + 1][y], inside[x + 1][y + 1]};
+            const int *here = inside[x] + y, *next = inside[x + 1] + y;
+            const int r[4] = {here[0], here[1], next[0], next[1]};
             const int any = r[0] | r[1] | r[2] | r[3], all = r[0] & r[1] & r[2] & r[3];
             const int bits = (any | any >> 1) & ~(all & all >> 1) & 255;
             cut[64 * b + 8 * x + y] = (u8)bits;

@@ -57,16 +57,17 @@ def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
         compact: In one line, for a header.
     """
     tool = BY_IDENTIFIER[properties.tool]
-    if compact:
-        layout.menu("CLAY_MT_sculpt_tools", text=tool.label, icon=tool.icon)
-    else:
-        layout.menu("CLAY_MT_sculpt_tools", text=tool.label, icon=tool.icon)
+    unnamed = {"text": ""} if compact else {}
+    row = layout.row(align=True)
+    row.label(icon=tool.icon)
+    row.menu("CLAY_MT_sculpt_tools", text=tool.label)
+    if not compact:
         layout.use_property_split = True
         layout.use_property_decorate = False
     if tool.identifier == "NONE":
         return
     if tool.identifier == "STAMP":
-        layout.prop(properties, "stamp", text="" if compact else None)
+        layout.prop(properties, "stamp", **unnamed)
         fault = stamp_fault(properties.stamp)
         if fault:
             layout.label(text=fault if not compact else "Not closed", icon="ERROR")
@@ -76,7 +77,7 @@ def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
         row.prop(properties, "strength")
         row.prop(properties, "use_pressure", text="", icon="STYLUS_PRESSURE")
     if tool.edit in ("add", "paint"):
-        layout.prop(properties, "color", text="" if compact else None)
+        layout.prop(properties, "color", **unnamed)
     row = layout.row(align=True, heading="" if compact else "Mirror")
     if compact:
         row.label(icon="MOD_MIRROR")

@@ -29,6 +29,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
     _timer: bpy.types.Timer | None = None
     _session: SculptSession | None = None
     _brush: Brush | None = None
+    _said = ""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -65,8 +66,9 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             return self._end(context)
         try:
             if event.type == "TIMER":
-                if running.tick(context):
-                    self._say(context)
+                news = running.tick(context)
+                self._say(context)
+                if news:
                     redraw(context)
                 return {"PASS_THROUGH"}
             if brush.handle(context, event, running.positions):
@@ -88,18 +90,12 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         self._end(context)
 
     def _say(self, context: bpy.types.Context) -> None:
-        running = self._session
-        assert running is not None and self._brush is not None
-        seconds = running.compiling_seconds
-        if seconds > _COMPILING_AFTER:
-            text = (
-                f"Compiling the clay's kernels: {seconds:.0f} s. This is so once after installing, "
-                "and takes about a minute"
-            )
-        else:
-            text = self._brush.settings.tool.label
-        if context.workspace:
+        """Say in the status bar what goes on, where that has changed."""
+        assert self._session is not None and self._brush is not None
+        text = status_text(self._session, self._brush)
+        if text != self._said and context.workspace:
             context.workspace.status_text_set(text)
+            self._said = text
 
     def _end(self, context: bpy.types.Context) -> set[str]:
         running, self._session = self._session, None
@@ -165,6 +161,19 @@ class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
             self.report({"ERROR"}, "The clay of that session is no longer in this scene.")
             return {"CANCELLED"}
         return {"FINISHED"}
+
+
+def status_text(running: SculptSession, brush: Brush) -> str:
+    """What goes on, in a line for the status bar."""
+    seconds = running.compiling_seconds
+    if seconds > _COMPILING_AFTER:
+        return (
+            f"Compiling the clay's kernels: {seconds:.0f} s. This is so once after installing, and "
+            "takes about a minute   Esc: stop"
+        )
+    factor = round(10.0 * running.factor)
+    pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
+    return f"Sculpting{pace}   {brush.status_text()}"
 
 
 def redraw(context: bpy.types.Context) -> None:

@@ -420,14 +420,19 @@ class SculptSession:
             context: None where Blender's data is no longer this session's, as while a file loads.
         """
         with self._closing:
-            self._worker.wait()
+            # Kernels that are being compiled are not waited for: nothing was done yet.
+            if self.pace.started:
+                self._worker.wait()
             scene = None
             try:
                 scene = self._scene(context) if context is not None else None
                 if scene is not None:
                     # What is kept is the clay itself, and not what stands for it.
                     self._close_surface()
-                    stepped = self._worker.take()
+                    stepped = None
+                    # What went wrong in the last step is told by `tick`.
+                    with suppress(Exception):
+                        stepped = self._worker.take()
                     if stepped is not None and np.isfinite(stepped.positions).all():
                         self._show(scene, stepped)
                     if self._touched_at is not None or self._moved() > _FAR * self.spacing:

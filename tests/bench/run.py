@@ -23,7 +23,7 @@ import warp as wp
 
 from tactile_clay.solver import Settings
 
-from . import touch, touch_latency, touch_silence
+from . import surface, touch, touch_latency, touch_silence
 from .cases import FRAME, Case, chosen
 
 
@@ -105,6 +105,9 @@ def main() -> None:
     for part in touches:
         touched.append(touch.measure(part))
         print(touch.sentence(touched[-1]), flush=True)
+    surfaces = [] if options.cases else surface.measure_all()
+    for result in surfaces:
+        print(surface.sentence(result), flush=True)
     latencies = [] if options.cases else touch_latency.measure_all()
     for figures in latencies:
         print(touch_latency.sentence(figures), flush=True)
@@ -117,6 +120,7 @@ def main() -> None:
         "machine": {"processor": platform.machine(), "cores": os.cpu_count()},
         "versions": {"python": platform.python_version(), "warp": wp.__version__},
         "cases": results,
+        "surface": [surface.figures(result) for result in surfaces],
         "touch": touched,
         "touch_latency": latencies,
         "touch_silence": silences,

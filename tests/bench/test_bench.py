@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from tactile_clay.solver import Settings
-from tactile_clay.tests.bench import cases, peers, run, touch
+from tactile_clay.tests.bench import cases, peers, run, surface, touch
 from tactile_clay.tests.bench.peer_scene import DEPTH, MATERIAL, RADIUS, make_scene, measure
+from tactile_clay.tests.experiments.live_surface import measure_surface, surface_lines
 
 
 def test_a_case_is_timed_and_judged():
@@ -36,6 +37,20 @@ def test_a_part_of_touch_is_timed_and_judged(case: touch.TouchCase):
     assert figures["error"]["error"] < 0.15
     assert json.loads(json.dumps(figures))["error"]["figure"]
     assert case.name in touch.sentence(figures)
+
+
+def test_a_surface_is_timed_and_judged():
+    """Time surfaces of a block, and find them near the ball and the block they are of."""
+    result = measure_surface("2k", frames=2)
+    assert result.particles == 2197
+    assert 0.0 < result.ms_median <= result.ms_p90
+    assert abs(result.ball_volume - 1.0) < 0.03
+    assert abs(result.block_volume - 1.0) < 0.03
+    assert 0.0 < result.ball_distance < 0.12
+    assert 0.0 < result.block_distance < 0.12
+    assert json.loads(json.dumps(surface.figures(result)))["case"] == "surface-2k"
+    assert "2,197 particles" in surface.sentence(result)
+    assert "| 2,197 |" in surface_lines([result])[-1]
 
 
 def test_error_is_relative_to_the_middle_of_the_band():

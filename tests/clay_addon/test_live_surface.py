@@ -11,6 +11,7 @@ import pytest
 
 from tactile_clay.clay_addon import look
 from tactile_clay.clay_addon.live_surface import LiveSurface, sweep
+from tactile_clay.clay_addon.look_material import clay_material
 from tactile_clay.clay_addon.mesh_geometry import is_switched_off
 from tactile_clay.clay_addon.simulation import clay_colors
 from tactile_clay.clay_addon.surface import check_closed_manifold
@@ -26,7 +27,7 @@ class Live:
 
     def tick(self, moved: float = 0.0) -> bool:
         """Offer the clay, moved along x, wait for its surface and show it."""
-        positions = self.studio.points(self.clay) + np.float32([moved, 0, 0])
+        positions = self.studio.points(self.clay) + np.array([moved, 0, 0], np.float32)
         self.surface.offer([(positions, clay_colors(self.clay))])
         assert self.surface._worker is not None
         assert self.surface._worker.wait()
@@ -67,7 +68,7 @@ def test_mesh_stands_for_the_clay(live: Live) -> None:
     assert item.hide_select
     assert live.clay.hide_get()
     assert not live.clay.hide_render
-    assert list(mesh.materials) == [look.clay_material()]
+    assert list(mesh.materials) == [clay_material()]
     assert mesh.attributes.active_color_name == "Color"
     assert all(polygon.use_smooth for polygon in mesh.polygons)
     corners = np.empty(len(mesh.loops), np.int32)
@@ -93,9 +94,10 @@ def test_hidden_clay_is_still_evaluated_and_costs_no_surface(live: Live) -> None
 
 
 def test_mesh_follows_and_rests(live: Live) -> None:
-    """Write the mesh again when the clay has moved, in the same object, and not when it is still."""
+    """Write the mesh again when the clay has moved, in the same object, and else not."""
     live.tick()
     (item,) = live.stand_ins()
+    bpy.context.scene.name = live.clay.name = "Renamed"
     assert live.tick(0.1)
     assert live.stand_ins() == [item]
     assert np.array([vertex.co for vertex in item.data.vertices])[:, 0].min() > 0.05

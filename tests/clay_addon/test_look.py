@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon import look
+from tactile_clay.clay_addon.look_material import MATERIAL_NAME, clay_material
 from tactile_clay.clay_addon.make_clay import make_point_cloud
 from tactile_clay.clay_addon.surface import check_closed_manifold, reconstruct
 
@@ -53,7 +56,7 @@ def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     mesh.loop_triangles.foreach_get("vertices", faces.ravel())
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
-    assert look.MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
+    assert MATERIAL_NAME in [slot.name for slot in mesh.materials if slot]
     return vertices.astype(np.float64), faces.astype(np.int64), colors
 
 
@@ -119,8 +122,8 @@ def test_switch_and_limit_choose_between_points_and_surface() -> None:
     assert shown(item) is None
 
 
-def render(folder: Path) -> np.ndarray:
-    """Render the clay from the front; pixels, linear, shape [16, 32, 4], transparent outside."""
+def set_stage(folder: Path) -> None:
+    """Set the scene to render the clay from the front: linear, transparent outside."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
@@ -140,11 +143,48 @@ def render(folder: Path) -> np.ndarray:
     scene.render.image_settings.file_format = "OPEN_EXR"
     scene.render.image_settings.color_mode = "RGBA"
     scene.render.filepath = str(folder / "clay.exr")
-    bpy.ops.render.render(write_still=True)
+
+
+def picture(folder: Path) -> np.ndarray:
+    """The pixels of a picture that was rendered, shape [16, 32, 4]."""
     image = bpy.data.images.load(str(folder / "clay.exr"))
     pixels = np.empty(32 * 16 * 4, np.float32)
     image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
     return pixels.reshape(16, 32, 4)
+
+
+def render(folder: Path) -> np.ndarray:
+    """Render the clay from the front."""
+    set_stage(folder)
+    bpy.ops.render.render(write_still=True)
+    return picture(folder)
+
+
+RENDER = """
+import os, sys
+import bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[-1])
+assert not [name for name in sys.modules if name.startswith("tactile_clay")]
+bpy.ops.render.render(write_still=True)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> None:
+    """Render the same picture in a fresh process that never saw the add-on."""
+    item = clay(block(10, 6, 6))
+    look.add_look(item)
+    here = render(tmp_path)
+    (tmp_path / "clay.exr").unlink()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "clay.blend"))
+    words = [sys.executable, "-c", RENDER, str(tmp_path / "clay.blend")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    there = picture(tmp_path)
+    assert (there[6:10, 7:25, 3] > 0.99).all()
+    np.testing.assert_allclose(there, here, atol=0.02)
 
 
 @pytest.mark.parametrize("kind", ["surface", "points", "beyond the limit", "exact"])
@@ -186,22 +226,22 @@ def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
     assert look.get_input(second, "Surface") is False
     look.add_look(clay(block(3, 3, 3)))
     assert len(bpy.data.node_groups) == 1
-    assert [item.name for item in bpy.data.materials] == [look.MATERIAL_NAME]
+    assert [item.name for item in bpy.data.materials] == [MATERIAL_NAME]
 
 
 def test_material_reads_the_colour_attribute_and_is_shared() -> None:
     """There is one clay material; its base colour is the attribute `Color`."""
-    material = look.clay_material()
-    assert look.clay_material() == material
+    material = clay_material()
+    assert clay_material() == material
     shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
     assert shader.inputs["Base Color"].links[0].from_node.attribute_name == "Color"
 
 
 def test_foreign_material_of_the_same_name_is_left_alone() -> None:
     """A user's own material called Clay is neither used nor changed."""
-    own = bpy.data.materials.new(look.MATERIAL_NAME)
-    assert look.clay_material() != own
-    assert look.clay_material() == look.clay_material()
+    own = bpy.data.materials.new(MATERIAL_NAME)
+    assert clay_material() != own
+    assert clay_material() == clay_material()
 
 
 def test_what_is_no_clay_is_refused() -> None:
@@ -234,5 +274,53 @@ def test_surface_object_is_the_reconstruction() -> None:
     colors = np.empty((len(mesh.vertices), 4), np.float32)
     mesh.attributes["Color"].data.foreach_get("color", colors.ravel())
     np.testing.assert_array_equal(colors, surface.colors)
-    assert mesh.materials[0] == look.clay_material()
+    assert mesh.materials[0] == clay_material()
     assert mesh.attributes["clay_spacing"].data[0].value == pytest.approx(1.0, rel=0.2)
+
+
+def test_solid_views_show_the_clays_colours() -> None:
+    """Colour solid views by attribute, other than those that somebody has set otherwise."""
+    bpy.ops.wm.read_factory_settings()
+    spaces = [
+        space
+        for screen in bpy.data.screens
+        for area in screen.areas
+        for space in area.spaces
+        if space.type == "VIEW_3D"
+    ]
+    assert len(spaces) > 1
+    for space in spaces:
+        space.shading.color_type = "MATERIAL"
+    spaces[0].shading.color_type = "RANDOM"
+    look.show_colors()
+    assert spaces[0].shading.color_type == "RANDOM"
+    assert {space.shading.color_type for space in spaces[1:]} == {"VERTEX"}
+
+
+def test_grain_goes_along_with_the_clay() -> None:
+    """Keep the grain on clay that is moved, and give clay without rest positions one too."""
+    item = clay(block(6, 6, 6))
+    look.add_look(item)
+
+    def grain() -> np.ndarray:
+        geometry = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
+        values = np.empty((len(geometry.mesh.vertices), 3), np.float32)
+        geometry.mesh.attributes["clay_texture"].data.foreach_get("vector", values.ravel())
+        return values
+
+    before = grain()
+    assert np.ptp(before, axis=0).min() > 4
+    positions = np.empty((216, 3), np.float32)
+    layer = item.data.attributes["position"].data
+    layer.foreach_get("vector", positions.ravel())
+    # By whole voxels, so that the mesh is the same.
+    layer.foreach_set("vector", (positions + np.array([0.05, 0, 0], np.float32)).ravel())
+    item.data.update_tag()
+    moved = grain()
+    np.testing.assert_allclose(moved.min(axis=0), before.min(axis=0), atol=0.1)
+    np.testing.assert_allclose(moved.max(axis=0), before.max(axis=0), atol=0.1)
+    item.data.attributes.remove(item.data.attributes["rest_position"])
+    item.data.update_tag()
+    np.testing.assert_allclose(
+        grain().mean(axis=0), before.mean(axis=0) + np.array([10, 0, 0]), atol=0.2
+    )

@@ -73,7 +73,7 @@ def volume(surface: QuadSurface) -> float:
         ("double sheet", lattice(20, 20, 2), 0.1),
         ("rod", lattice(30, 1, 1), 0.35),
         ("grain", np.full((1, 3), 0.3), 0.5),
-        ("pieces", np.concatenate([lattice(8, 8, 8), ball(5) + [20, 0, 0]]), 0.06),
+        ("pieces", np.concatenate([lattice(8, 8, 8), ball(5) + np.array([20, 0, 0])]), 0.06),
         ("hollow", lattice(14, 14, 14)[np.abs(lattice(14, 14, 14)).max(axis=1) > 3.6], 0.04),
     ],
 )
@@ -101,8 +101,9 @@ def test_colours_are_the_particles_and_mix_where_they_meet() -> None:
     points = disordered(lattice(16, 8, 8))
     surface = surface_of(points)
     x = surface.vertices[:, 0]
-    np.testing.assert_allclose(surface.colors[x < -2], np.tile(RED, ((x < -2).sum(), 1)), atol=1e-5)
-    np.testing.assert_allclose(surface.colors[x > 2], np.tile(BLUE, ((x > 2).sum(), 1)), atol=1e-5)
+    for side, color in ((x < -2, RED), (x > 2, BLUE)):
+        assert side.any()
+        np.testing.assert_allclose(surface.colors[side] - np.array(color), 0.0, atol=1e-5)
     means = [surface.colors[(x > low) & (x < low + 0.5), 0].mean() for low in np.arange(-2, 2, 0.5)]
     assert (np.diff(means) < 1e-6).all()
     assert ((surface.colors[:, 0] > 0.2) & (surface.colors[:, 0] < 0.5)).any()
@@ -120,7 +121,7 @@ def test_nothing_has_no_surface() -> None:
 def test_particles_that_are_not_finite_are_left_out() -> None:
     """Make the surface of the others, also where one is absurdly far or has no colour."""
     points = lattice(6, 6, 6)
-    colors = np.tile(np.float32(RED), (len(points) + 4, 1))
+    colors = np.tile(np.array(RED, np.float32), (len(points) + 4, 1))
     colors[3, 1] = np.nan
     broken = [[np.nan, 0, 0], [0, np.inf, 0], [0, 0, -np.inf], [1e20, 0, 0]]
     surface = QuickSurface(1.0).reconstruct(np.concatenate([points, broken]), colors)

@@ -114,7 +114,7 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
             running.budget.took("evaluate", time.perf_counter() - began)
     found = running.budget.milliseconds()
     surface = running._surface
-    making = 1e3 * surface._worker.seconds if surface and surface._worker else 0.0
+    making = 1e3 * surface.seconds if surface else 0.0
     count = len(clay.data.points)
     sessions.stop(context)
     times = {part: found.get(part, 0.0) for part in _PARTS}

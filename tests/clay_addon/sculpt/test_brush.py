@@ -239,7 +239,7 @@ def test_a_rolling_pin_rolls(mouse: Mouse) -> None:
     """Turn by the way over the radius, so that what touches the clay stands still."""
     mouse.source.set(tool="ROLLING_PIN")
     mouse.press(0.0, -0.02)
-    before = mouse.ticks(30)[-1][0][0]
+    before = mouse.ticks(80)[-1][0][0]
     for y in np.linspace(-0.02, 0.02, 40):
         mouse.move(0.0, y)
         mouse.ticks(1)

@@ -23,6 +23,7 @@ from .companions import (
     hard_cases,
     measure_frames,
     measure_hands,
+    measure_surfaces,
     run_ablation,
     run_hard_case,
     run_touch,
@@ -122,6 +123,7 @@ def main() -> None:
     if not options.quick:
         say("Measuring soft hands, alone ...")
         report.hands = measure_hands()
+        report.surfaces = measure_surfaces()
         say("Measuring a frame of live sculpting, alone ...")
         report.frames = measure_frames()
         report.ablation = run_ablation(options.output)

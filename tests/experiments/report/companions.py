@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: hard cases, ablation, soft hands, touch.
+"""Parts of the report that modules of their own bring: hard cases, ablation, hands, touch ...
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -111,6 +111,18 @@ def measure_hands() -> list[str]:
     if cost is None or press is None:
         return []
     return [*cost.cost_lines(), "", *press.press_lines(), ""]
+
+
+def measure_surfaces() -> list[str]:
+    """Measure what surfaces cost while clay is worked, and how far off they are.
+
+    Returns:
+        Lines of Markdown, none where there is no such module.
+    """
+    surface = companion("live_surface")
+    if surface is None:
+        return []
+    return list(surface.surface_lines([surface.measure_surface(size) for size in surface.SIZES]))
 
 
 def measure_frames() -> list[str]:

@@ -52,6 +52,8 @@ class Report:
     """What happened in hard cases."""
     hands: list[str] = field(default_factory=list)
     """Lines of the part about soft hands."""
+    surfaces: list[str] = field(default_factory=list)
+    """Lines of the part about surfaces."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
     frames: list[str] = field(default_factory=list)
@@ -97,6 +99,8 @@ def write_page(report: Report, folder: Path) -> None:
         ]
     if report.hands:
         lines += ["## Soft hands", "", *report.hands, ""]
+    if report.surfaces:
+        lines += ["## Surfaces while clay is worked", "", *report.surfaces, ""]
     if report.frames:
         lines += ["## A frame of live sculpting", "", *report.frames]
     if report.ablation:

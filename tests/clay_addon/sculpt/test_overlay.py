@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is drawn of a brush: shading and rings; the drawing itself needs a window."""
+
+import numpy as np
+import pytest
+
+from tactile_clay.clay_addon.sculpt import overlay
+from tactile_clay.clay_addon.sculpt.overlay import ring_points, shaded_corners
+from tactile_clay.clay_addon.sculpt.settings import BrushSettings
+from tactile_clay.clay_addon.sculpt.tool_meshes import tool_parts
+from tactile_clay.clay_addon.sculpt.tools import BY_IDENTIFIER
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import Mouse
+
+
+def test_normals_are_round_where_the_tool_is() -> None:
+    """Point from a ball's middle, and stay unit vectors on every tool."""
+    (ball,) = tool_parts(BrushSettings(tool=BY_IDENTIFIER["BALL"], radius=0.01))
+    points, normals = shaded_corners(ball)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
+    low = points[:, 2] < 0.012
+    out = points[low] - (0.0, 0.0, 0.01)
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    assert np.einsum("ij,ij->i", out, normals[low]).min() > 0.97
+
+
+def test_a_ring_lies_across_the_normal() -> None:
+    """Draw the radius around the point, and a part of it for a part."""
+    normal = np.array((0.6, 0.0, 0.8))
+    ring = ring_points(np.array((1.0, 2.0, 3.0)), normal, 0.02)
+    assert np.allclose(np.linalg.norm(ring - (1.0, 2.0, 3.0), axis=1), 0.02)
+    assert np.allclose((ring - (1.0, 2.0, 3.0)) @ normal, 0.0, atol=1e-12)
+    half = ring_points(np.zeros(3), normal, 0.02, 0.5)
+    assert np.linalg.norm(half[0] - half[-1]) == pytest.approx(0.04)
+    assert np.linalg.norm(ring[0] - ring[-1]) < 1e-9
+
+
+def test_what_is_drawn_is_what_the_clay_feels(mouse: Mouse) -> None:
+    """Draw each mesh where its pose is, the wire without the board that holds the clay."""
+    mouse.move(0.0, 0.0)
+    assert mouse.brush.drawn() == []
+    (poses,) = mouse.ticks(1)
+    ((_, pose, felt),) = mouse.brush.drawn()
+    assert pose is poses[0][0] and not felt
+    mouse.source.set(tool="WIRE", mirror=(True, False, False))
+    (poses,) = mouse.ticks(1)
+    assert len(poses) == 4
+    assert [id(pose) for _, pose, _ in mouse.brush.drawn()] == [id(poses[k][0]) for k in (0, 2)]
+
+
+def test_nothing_is_drawn_in_the_background(mouse: Mouse) -> None:
+    """Register no draw handler without a window, and forget the brush at the end."""
+    overlay.show(mouse.brush)
+    assert overlay._handle is None and overlay._brush is mouse.brush
+    overlay.hide()
+    overlay.hide()
+    assert overlay._brush is None

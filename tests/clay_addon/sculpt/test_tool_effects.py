@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What tools do to real clay: a small block on a table, worked by a brush."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactile_clay.solver import Material, Scene, Solver
+from tactile_clay.tests.clay_addon.sculpt.fake_mouse import SPACING, TICK, Mouse
+
+
+class Bench:
+    """A block of clay of 80 × 50 × 30 mm, and the tool that a brush holds."""
+
+    def __init__(self, tool: str, **settings: Any) -> None:
+        self.mouse = Mouse()
+        self.mouse.source.set(tool=tool, **settings)
+        axes = [(np.arange(n) - 0.5 * (n - 1)) * SPACING for n in (16, 10, 6)]
+        points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        self.mouse.clay = points.astype(np.float32)
+        self.top = 0.015
+        scene = Scene(spacing=SPACING)
+        scene.add_clay(points, Material.preset("plasticine"))
+        scene.add_plane((0, 0, -self.top), (0, 0, 1), friction=0.5)
+        self.colliders = []
+        for mesh in self.mouse.brush.meshes():
+            collider = scene.add_mesh(mesh.vertices, mesh.faces, friction=mesh.friction)
+            collider.set_enabled(False)
+            self.colliders.append(collider)
+        self.solver = Solver(scene)
+
+    def ticks(self, count: int) -> None:
+        """Let the session's ticks pass."""
+        for _ in range(count):
+            poses = self.mouse.brush.poses(TICK)
+            for collider, (pose, felt) in zip(self.colliders, poses, strict=True):
+                collider.set_pose(pose)
+                collider.set_enabled(felt)
+            self.solver.step(TICK)
+            self.mouse.clay = self.solver.positions()
+
+    def stroke(self, *way: tuple[float, float], ticks: int = 25) -> None:
+        """Press, drag and let go."""
+        for number, place in enumerate(way):
+            self.mouse.at = self.mouse.pixel(*place, self.top)
+            self.mouse.send("MOUSEMOVE", "NOTHING")
+            if number == 0:
+                self.mouse.send("LEFTMOUSE")
+            self.ticks(ticks)
+        self.mouse.send("LEFTMOUSE", "RELEASE")
+        self.ticks(25)
+        assert not self.mouse.brush.stroking
+
+    def height(self, x: float, y: float, radius: float = 0.004) -> float:
+        """Height of the clay at a place [m]."""
+        away = np.linalg.norm(self.mouse.clay[:, :2] - np.array((x, y)), axis=1)
+        return float(self.mouse.clay[away < radius, 2].max()) + 0.5 * SPACING
+
+
+def test_a_dent_is_as_deep_as_the_strength_says() -> None:
+    """Dent by strength times radius within half a spacing, and not where nothing pressed."""
+    bench = Bench("BALL", strength=0.5, radius=0.016)
+    bench.stroke((-0.015, 0.0))
+    assert bench.height(-0.015, 0.0) == pytest.approx(0.015 - 0.008, abs=0.5 * SPACING)
+    assert bench.height(0.03, 0.0) == pytest.approx(0.015, abs=0.1 * SPACING)
+
+
+def test_a_wire_parts_the_block() -> None:
+    """Leave two pieces, none of which was pushed away, where a wire was drawn across."""
+    bench = Bench("WIRE")
+    before = bench.mouse.clay.copy()
+    bench.stroke((0.0, -0.05), (0.0, 0.05))
+    clay = bench.mouse.clay
+    left = before[:, 0] < 0.0
+    gap = clay[~left, 0].min() - clay[left, 0].max()
+    assert gap > 1.2 * SPACING
+    assert np.linalg.norm(clay - before, axis=1).max() < 2.5 * SPACING
+
+
+def test_smoothing_levels_a_bump() -> None:
+    """Take most of a bump's height away, and little of the surface around."""
+    bench = Bench("SMOOTH", strength=0.5, radius=0.015)
+    bump = np.linalg.norm(bench.mouse.clay[:, :2], axis=1) < 0.006
+    top = bench.mouse.clay[bump & (bench.mouse.clay[:, 2] > 0.01)]
+    points = np.concatenate((bench.mouse.clay, top + np.array((0.0, 0.0, SPACING), np.float32)))
+    scene = Scene(spacing=SPACING)
+    scene.add_clay(points, Material.preset("plasticine"))
+    scene.add_plane((0, 0, -bench.top), (0, 0, 1), friction=0.5)
+    bench.colliders = [
+        scene.add_mesh(mesh.vertices, mesh.faces, friction=mesh.friction)
+        for mesh in bench.mouse.brush.meshes()
+    ]
+    bench.colliders[0].set_enabled(False)
+    bench.solver = Solver(scene)
+    bench.mouse.clay = points
+    before = bench.height(0.0, 0.0) - bench.height(0.025, 0.0)
+    assert before == pytest.approx(SPACING, rel=0.1)
+    for _ in range(2):
+        bench.stroke((-0.02, 0.0), (0.02, 0.0), (-0.02, 0.0))
+    assert bench.height(0.0, 0.0) - bench.height(0.025, 0.0) < 0.4 * before
+    assert bench.height(0.025, 0.0) > 0.015 - 0.6 * SPACING
+
+
+def test_a_pinch_raises_clay() -> None:
+    """Pull clay up between two fingers by more than a spacing over the surface."""
+    bench = Bench("PINCH", strength=0.7, radius=0.012)
+    bench.mouse.at = bench.mouse.pixel(0.0, 0.0, bench.top)
+    bench.mouse.send("MOUSEMOVE", "NOTHING")
+    bench.mouse.send("LEFTMOUSE")
+    bench.ticks(60)
+    for _ in range(6):
+        bench.mouse.send("WHEELUPMOUSE")
+        bench.ticks(5)
+    bench.mouse.send("LEFTMOUSE", "RELEASE")
+    bench.ticks(30)
+    assert bench.mouse.clay[:, 2].max() + 0.5 * SPACING > 0.015 + SPACING
+    assert np.isfinite(bench.mouse.clay).all()
