@@ -26,6 +26,7 @@ from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
 from .clay_points import SCULPTED_MARK, write_colors
+from .delivery_object import delivered_object
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
@@ -381,6 +382,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
         for item in clay_objects(scene)
         if is_packed(item)
     ]
+    played = delivered_object(scene)
+    if played is not None:
+        warnings.append(
+            f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
+            "Show Clay Again, to see this bake."
+        )
     scale = scene.unit_settings.scale_length
     pull = scene.gravity.length * scale
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:

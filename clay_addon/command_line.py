@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: bake, render, export and look into .blend files, and track hands.
+"""The command line: bake, render, deliver, export and look into .blend files, and track hands.
 
 The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
 ``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
@@ -23,6 +23,7 @@ from .tracking.command import add_command as add_track
 
 if TYPE_CHECKING:
     from .bake import BakeProgress
+    from .delivery import DeliveryProgress
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -197,13 +198,44 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         type=Path,
         required=True,
         metavar="FILE",
-        help="the file to write: .stl, .obj, .ply or .glb",
+        help="the file to write: .stl, .3mf, .obj, .ply or .glb",
     )
     export.add_argument(
         "--unit",
-        choices=("m", "mm"),
-        default="m",
-        help="unit of the numbers in the file (default: m)",
+        choices=("auto", "m", "mm"),
+        default="auto",
+        help="unit of the numbers in the file (default: mm in .stl and .3mf, else m)",
+    )
+    export.add_argument(
+        "--base", type=float, default=0.0, metavar="MM", help="cut so much off for a flat base"
+    )
+    export.add_argument(
+        "--wall",
+        type=float,
+        default=1.0,
+        metavar="MM",
+        help="warn of thinner walls in .stl and .3mf (default: 1)",
+    )
+
+    deliver = add("deliver", "write the clay over time as USD or Alembic, with a player", _deliver)
+    add_file_options(deliver)
+    deliver.add_argument(
+        "--frames",
+        metavar="A-B",
+        type=_frame_range,
+        help="frames to write (default: the scene's range, as far as it is baked)",
+    )
+    deliver.add_argument(
+        "--format", choices=("usd", "abc"), help="usd or abc (default: the scene's, usd)"
+    )
+    deliver.add_argument("--points", action="store_true", help="write the particles too (usd)")
+    deliver.add_argument(
+        "--output", metavar="DIR", help="the folder of the delivery (default: the scene's)"
+    )
+    deliver.add_argument(
+        "--save",
+        action="store_true",
+        help="play the files in place of the clay, and store that in the .blend",
     )
 
     render = add("render", "render baked frames, each whole or not at all", _render)
@@ -356,13 +388,21 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
             shown = shown_frame(scene)
             if shown is None and arguments.cache is not None:
                 raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
-            table = export_clay(context, arguments.output.absolute(), unit=arguments.unit)
+            table = export_clay(
+                context,
+                arguments.output.absolute(),
+                unit=arguments.unit,
+                base=arguments.base,
+                wall=arguments.wall,
+            )
     except (ExportError, SurfaceError) as error:
         raise _CommandError(str(error)) from error
     if shown is None:
         print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
     elif shown != frame:
         print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+    for warning in (table["print"] or {}).get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
     # Adding zero keeps rounding from writing -0.00.
     volume_error = round(table["volume_error"], 4) + 0.0
     return EXIT_DONE, _text(
@@ -370,6 +410,46 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
         {"frame": frame, "shown_frame": shown, **table},
         f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
         f"volume {volume_error:+.2%} off the particles' own.",
+    )
+
+
+def _deliver(arguments: argparse.Namespace) -> _Outcome:
+    context, scene = _open(arguments)
+    from .delivery import DeliveryError, deliver
+    from .delivery_operators import describe
+
+    properties = scene.tactile_clay
+    if arguments.cache is not None:
+        properties.cache_directory = _absolute(arguments.cache)
+    output = _absolute(arguments.output)
+    start, end = arguments.frames or (None, None)
+    line = _ProgressLine(sys.stderr)
+    try:
+        with context.temp_override(scene=scene):
+            result = deliver(
+                context,
+                kind=arguments.format or properties.delivery_kind,
+                start=start,
+                end=end,
+                directory=output,
+                points=arguments.points or properties.delivery_points,
+                show=arguments.save,
+                progress=line,
+            )
+    except DeliveryError as error:
+        raise _CommandError(str(error)) from error
+    finally:
+        line.end()
+    assert result is not None
+    if arguments.save:
+        if output is not None:
+            properties.delivery_directory = output
+        _save_file("delivery")
+    return EXIT_DONE, _text(
+        arguments,
+        asdict(result),
+        f"{describe(result)} ({result.particle_count:,} particles, up to "
+        f"{result.vertex_count:,} vertices).\nOpen: {result.file}",
     )
 
 
@@ -493,20 +573,26 @@ def _absolute(path: str | None) -> str | None:
 
 
 def _save(scene: Any, arguments: argparse.Namespace) -> None:
-    import bpy
-
     properties = scene.tactile_clay
     if arguments.frames:
         properties.use_scene_range = False
         properties.frame_start, properties.frame_end = arguments.frames
     if arguments.cache is not None:
         properties.cache_directory = _absolute(arguments.cache)
+    _save_file("bake")
+
+
+def _save_file(what: str) -> None:
+    import bpy
+
     if not bpy.data.filepath:
-        raise _CommandError("The bake is done, but the .blend has no name to be saved under.")
+        raise _CommandError(f"The {what} is done, but the .blend has no name to be saved under.")
     try:
         bpy.ops.wm.save_mainfile()
     except RuntimeError as error:
-        raise _CommandError(f"The bake is done, but the .blend cannot be saved: {error}") from error
+        raise _CommandError(
+            f"The {what} is done, but the .blend cannot be saved: {error}"
+        ) from error
 
 
 def _text(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> str:
@@ -544,7 +630,7 @@ def _flush() -> None:
 
 
 class _ProgressLine:
-    """Tells how far a bake is: a bar on a terminal, now and then a plain line elsewhere."""
+    """Tells how far something is: a bar on a terminal, now and then a plain line elsewhere."""
 
     _WIDTH = 24
 
@@ -553,7 +639,7 @@ class _ProgressLine:
         self._bar = stream.isatty()
         self._told = -1
 
-    def __call__(self, progress: BakeProgress) -> None:
+    def __call__(self, progress: BakeProgress | DeliveryProgress) -> None:
         from .bake_operators import duration_text
 
         share = progress.done / max(1, progress.total)

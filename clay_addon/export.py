@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export of the clay as one closed, coloured mesh: STL, OBJ, PLY or GLB.
+"""Export of the clay as one closed, coloured mesh: STL, 3MF, OBJ, PLY or GLB.
 
-Axes are those of Blender's own exporters: STL and PLY keep Z up, OBJ and GLB turn it to Y up. A
-file's unit is the metre, or the millimetre where asked for, as slicers read STL. Colours are linear
-in Blender and in GLB, and sRGB in OBJ and PLY, 8 bits a channel; STL has none. The formats
-themselves are written by the trimesh library.
+Axes are those of Blender's own exporters: STL, 3MF and PLY keep Z up, OBJ and GLB turn it to Y up.
+A file's unit is the metre, or the millimetre where asked for, as slicers read STL; 3MF is always in
+millimetres. Colours are linear in Blender and in GLB, and sRGB in 3MF, OBJ and PLY, 8 bits a
+channel; STL has none. 3MF is written by `mesh_3mf`, the others by the trimesh library, whose 3MF
+needs two more packages and has no colours.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import errno
 import importlib.util
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import bpy
 import numpy as np
@@ -23,10 +24,19 @@ from bpy_extras.io_utils import ExportHelper
 from numpy.typing import NDArray
 
 from .cache_files import replace_file
-from .surface import Surface, SurfaceError, reconstruct
+from .mesh_3mf import write_3mf
+from .print_checks import base_area, check_print, flat_base
+from .shown_clay import Particles, ShownClayError, particles_surface
+from .surface import Surface, SurfaceError
 
-SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+SUFFIXES = (".stl", ".3mf", ".obj", ".ply", ".glb")
 UNITS = {"m": 1.0, "mm": 1000.0}
+AUTO = "auto"
+"""The unit that programs take a file's numbers for: millimetres in STL and 3MF, else metres."""
+PRINTED = (".stl", ".3mf")
+"""Formats of 3D printing, whose shapes are checked for it."""
+MINIMUM_WALL = 1.0
+"""The thinnest wall that common printers make [mm]; resin bears half of it."""
 
 
 class ExportError(ValueError):
@@ -41,8 +51,9 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
 
     Args:
         surface: The surface [m].
-        path: File with the suffix .stl, .obj, .ply or .glb.
-        unit: Unit of the numbers in the file, "m" or "mm"; GLB is always in metres.
+        path: File with the suffix .stl, .3mf, .obj, .ply or .glb.
+        unit: Unit of the numbers in the file, "m", "mm" or "auto", which is millimetres in STL and
+            3MF and metres in the others; GLB is always in metres, 3MF in millimetres.
 
     Returns:
         The path.
@@ -54,7 +65,7 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
     """
     path = check_target(path, unit=unit)
     suffix = path.suffix.lower()
-    vertices, normals = surface.vertices * UNITS[unit], surface.normals
+    vertices, normals = surface.vertices * UNITS[_unit_of(suffix, unit)], surface.normals
     # glTF allows no zero normals.
     normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     if suffix in (".obj", ".glb"):
@@ -66,7 +77,12 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
             "The clay is too small for how far it lies from the world's origin: a file of single"
             " precision cannot hold its shape. Move it closer to the origin."
         )
-    _write_whole(path, _encode(suffix, single, surface.faces, normals, surface.colors))
+    if suffix == ".3mf":
+        colors = None if surface.colors is None else _eight_bits(_srgb(surface.colors))
+        _write_whole(path, lambda file: write_3mf(file, single, surface.faces, colors))
+    else:
+        content = _encode(suffix, single, surface.faces, normals, surface.colors)
+        _write_whole(path, lambda file: file.write(content))
     return path
 
 
@@ -84,9 +100,9 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
         raise ExportError(
             f"Cannot export to {what} ({path.name}). Use one of {', '.join(SUFFIXES)}."
         )
-    if unit not in UNITS:
-        raise ExportError(f"The unit must be one of {', '.join(UNITS)}, not {unit!r}.")
-    if suffix == ".glb" and unit != "m":
+    if unit not in (*UNITS, AUTO):
+        raise ExportError(f"The unit must be one of {', '.join(UNITS)}, {AUTO}, not {unit!r}.")
+    if suffix == ".glb" and unit == "mm":
         raise ExportError("A .glb file is always in metres; leave the unit at m.")
     if not path.parent.is_dir():
         raise ExportError(f"The folder {path.parent} does not exist. Make it first.")
@@ -106,6 +122,8 @@ def export_clay(
     *,
     objects: Sequence[bpy.types.Object] | None = None,
     unit: str = "m",
+    base: float = 0.0,
+    wall: float = MINIMUM_WALL,
 ) -> dict[str, Any]:
     """Export clay as it is at the current frame.
 
@@ -114,13 +132,18 @@ def export_clay(
 
     Args:
         context: Where the clay is.
-        path: File with the suffix .stl, .obj, .ply or .glb.
+        path: File with the suffix .stl, .3mf, .obj, .ply or .glb.
         objects: Clay objects; all of the scene where not given.
-        unit: Unit of the numbers in the file, "m" or "mm".
+        unit: Unit of the numbers in the file; see `write_mesh`.
+        base: How much to cut off at the bottom for a flat base [mm].
+        wall: The thinnest wall that can be printed [mm]; thinner ones are counted.
 
     Returns:
         ``file``, ``particles``, ``vertices``, ``faces``, ``volume`` [m^3], ``volume_error`` (the
-        volume relative to the particles' own, minus one) and ``watertight``.
+        volume before a base was cut, relative to the particles' own, minus one), ``watertight``,
+        ``size`` [mm] along the three axes, and ``print``: None but for STL and 3MF, which have
+        ``crossings`` (pairs of triangles), ``thinnest_wall`` [mm], ``thin_share`` (of the surface,
+        with walls below `wall`), ``base_area`` [mm^2] and ``warnings``.
 
     Raises:
         ExportError: if there is no clay, or the file cannot be written; see `write_mesh`.
@@ -134,17 +157,52 @@ def export_clay(
     if not objects:
         raise ExportError("There is no clay to export. Make clay first.")
     surface, particle_count, volume = clay_surface(context, objects)
+    volume_error = surface.volume / volume - 1
+    if base > 0:
+        surface = flat_base(surface, base / 1000)
     write_mesh(surface, target, unit=unit)
+    checked = _print_table(surface, wall) if target.suffix.lower() in PRINTED else None
     return {
         "file": str(target),
         "particles": particle_count,
         "vertices": len(surface.vertices),
         "faces": len(surface.faces),
         "volume": surface.volume,
-        "volume_error": surface.volume / volume - 1,
+        "volume_error": volume_error,
         # Holds by construction; `reconstruct` raises otherwise.
         "watertight": True,
+        "size": (1000 * np.ptp(surface.vertices, axis=0)).tolist(),
+        "print": checked,
     }
+
+
+def _print_table(surface: Surface, wall: float) -> dict[str, Any]:
+    found = check_print(surface, wall=wall / 1000)
+    warnings = []
+    if found.crossings:
+        warnings.append(
+            f"{found.crossings} pairs of triangles cross each other, where the clay is thinner "
+            "than its particles are apart. Most slicers mend that; thicker clay has none."
+        )
+    # A few triangles at a sharp edge are no wall.
+    if found.thin_share > 1e-3:
+        warnings.append(
+            f"{found.thin_share:.1%} of the surface has walls thinner than {wall:g} mm, the "
+            f"thinnest {1000 * found.thinnest_wall:.2g} mm. They may not print."
+        )
+    return {
+        "crossings": found.crossings,
+        "thinnest_wall": 1000 * found.thinnest_wall,
+        "thin_share": found.thin_share,
+        "base_area": 1e6 * base_area(surface),
+        "warnings": warnings,
+    }
+
+
+def _unit_of(suffix: str, unit: str) -> str:
+    if suffix == ".3mf" or (unit == AUTO and suffix == ".stl"):
+        return "mm"
+    return "m" if unit == AUTO else unit
 
 
 def clay_surface(
@@ -159,73 +217,25 @@ def clay_surface(
         ExportError: if an object is no clay.
         SurfaceError: if the particles have no surface.
     """
-    scale = context.scene.unit_settings.scale_length
-    groups: dict[float, list[tuple[NDArray[np.float64], NDArray[np.float32]]]] = {}
-    for item in objects:
-        positions, colors, spacing = _particles(context.scene, item)
-        # Single precision in the properties must not keep equal spacings apart.
-        key = float(f"{spacing * scale:.5g}")
-        groups.setdefault(key, []).append((positions * scale, colors))
-    surfaces = []
-    volume = 0.0
-    particle_count = 0
-    for spacing, parts in groups.items():
-        positions = np.concatenate([part[0] for part in parts])
-        colors = np.concatenate([part[1] for part in parts])
-        try:
-            surfaces.append(reconstruct(positions, spacing, colors=colors))
-        except ImportError as error:
-            raise ExportError(
-                "The package pysplashsurf is missing, so no surface can be made. Install the"
-                " extension from the zip for this platform."
-            ) from error
-        volume += len(positions) * spacing**3
-        particle_count += len(positions)
-    return _joined(surfaces), particle_count, volume
+    scene = context.scene
+    scale = scene.unit_settings.scale_length
+    try:
+        parts = [part.scaled(scale) for part in _shown(scene, objects)]
+        return particles_surface(parts)
+    except ShownClayError as error:
+        raise ExportError(str(error)) from error
+    except ImportError as error:
+        raise ExportError(
+            "The package pysplashsurf is missing, so no surface can be made. Install the"
+            " extension from the zip for this platform."
+        ) from error
 
 
-def _particles(
-    scene: bpy.types.Scene, item: bpy.types.Object
-) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
-    """World positions, colours and world spacing of a clay object, in Blender units."""
-    from .clay_points import present_rows
-    from .mesh_geometry import transform
-    from .pack import is_packed, packed_positions
-    from .simulation import clay_colors, read_points
+def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[Particles]:
+    """The particles that are seen at the current frame, whether they are baked or not."""
+    from .shown_clay import ShownClay
 
-    if item.type != "POINTCLOUD":
-        raise ExportError(f"{item.name!r} is a {item.type.lower()}, not clay.")
-    local: NDArray[np.float32] | None = (
-        packed_positions(item, scene.frame_current_final)
-        if is_packed(item)
-        else read_points(item, "position")
-    )
-    if local is None or len(local) == 0:
-        raise ExportError(f"{item.name!r} has no particles.")
-    spacing = getattr(getattr(item, "tactile_clay", None), "spacing", 0.0)
-    if not spacing > 0:
-        radius = item.data.attributes.get("radius")
-        spacing = 2 * radius.data[0].value if radius else 0.0
-    if not spacing > 0:
-        raise ExportError(f"{item.name!r} has no particle distance. Make the clay again.")
-    matrix = np.array(item.matrix_world, np.float64)
-    stretch = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-    if not stretch > 0:
-        raise ExportError(f"{item.name!r} is scaled to nothing. Give it a scale above 0.")
-    there = present_rows(item, local)
-    return transform(matrix, local[there]), clay_colors(item)[there], float(spacing * stretch)
-
-
-def _joined(surfaces: list[Surface]) -> Surface:
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
-    colors = [surface.colors for surface in surfaces if surface.colors is not None]
-    return Surface(
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate(
-            [surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]
-        ),
-        np.concatenate(colors) if colors else None,
-    )
+    return ShownClay(scene, objects, None).read(scene.frame_current_final)
 
 
 def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -259,9 +269,7 @@ def _encode(
             mesh.visual.vertex_attributes["color"] = _eight_bits(colors)
         return mesh.export(file_type="glb", include_normals=True)
     if colors is not None:
-        encoded = colors.copy()
-        encoded[:, :3] = trimesh.visual.color.linear_to_srgb(colors[:, :3])
-        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_eight_bits(encoded))
+        mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_eight_bits(_srgb(colors)))
     if suffix == ".ply":
         return mesh.export(file_type="ply", vertex_normal=False)
     # An OBJ file of trimesh has a fixed number of decimals. Nine digits hold single precision.
@@ -272,19 +280,25 @@ def _encode(
     return text.encode("ascii")
 
 
+def _srgb(colors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Linear RGBA as sRGB; alpha stays."""
+    linear = np.clip(colors[:, :3], 0, 1)
+    bent = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.concatenate([bent, colors[:, 3:]], axis=1).astype(np.float32)
+
+
 def _eight_bits(colors: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def _write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        replace_file(path, temporary, lambda file: file.write(content))
+        replace_file(path, temporary, write)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise ExportError(
-                f"The disk is full: {path} could not be written"
-                f" ({len(content) / 1e6:.1f} MB are needed)."
+                f"The disk is full: {path} could not be written. Free some space and try again."
             ) from error
         raise ExportError(
             f"{path} could not be written ({error.strerror or error}). Choose another folder, or"
@@ -293,7 +307,7 @@ def _write_whole(path: Path, content: bytes) -> None:
 
 
 class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
-    """Export the clay at the current frame as one closed, coloured mesh: STL, OBJ, PLY or GLB"""
+    """Export the clay at the current frame as one closed, coloured mesh: STL, 3MF, OBJ, PLY, GLB"""
 
     bl_idname = "clay.export"
     bl_label = "Export Clay"
@@ -310,10 +324,25 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
         name="Unit",
         description="Unit of the numbers in the file",
         items=(
+            (AUTO, "Automatic", "Millimetres in STL and 3MF, as slicers read them, else metres"),
             ("m", "Metres", "As Blender's own exporters write"),
             ("mm", "Millimetres", "As programs for 3D printing read STL"),
         ),
-        default="m",
+        default=AUTO,
+    )
+    base: bpy.props.FloatProperty(
+        name="Flat Base (mm)",
+        description="Cut this much off the bottom [mm], for the clay to stand on; 0 leaves it",
+        default=0.0,
+        min=0.0,
+        soft_max=10.0,
+    )
+    wall: bpy.props.FloatProperty(
+        name="Thinnest Wall (mm)",
+        description="Warn of thinner walls in STL and 3MF [mm]",
+        default=MINIMUM_WALL,
+        min=0.0,
+        soft_max=5.0,
     )
 
     @classmethod
@@ -341,7 +370,12 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
             window.cursor_modal_set("WAIT")
         try:
             result = export_clay(
-                context, bpy.path.abspath(self.filepath), objects=clay, unit=self.unit
+                context,
+                bpy.path.abspath(self.filepath),
+                objects=clay,
+                unit=self.unit,
+                base=self.base,
+                wall=self.wall,
             )
         except (ExportError, SurfaceError) as error:
             self.report({"ERROR"}, str(error))
@@ -349,8 +383,12 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
         finally:
             if window:
                 window.cursor_modal_restore()
+        for warning in (result["print"] or {}).get("warnings", ()):
+            self.report({"WARNING"}, warning)
+        size = " × ".join(f"{length:.1f}" for length in result["size"])
         self.report(
-            {"INFO"}, f"{Path(result['file']).name}: {result['faces']:,} triangles, watertight"
+            {"INFO"},
+            f"{Path(result['file']).name}: {result['faces']:,} triangles, watertight, {size} mm",
         )
         return {"FINISHED"}
 

@@ -33,11 +33,11 @@ class Channel:
     """What the channel is listed under, such as its bone."""
 
 
-def write_channels(item: bpy.types.Object, name: str, channels: Sequence[Channel]) -> None:
+def write_channels(item: bpy.types.ID, name: str, channels: Sequence[Channel]) -> None:
     """Give an object a new action with some channels; the one it had stays in the file.
 
     Args:
-        item: The object.
+        item: The object, or another datablock that can be animated.
         name: Of the action.
         channels: At least one key each.
     """
@@ -45,7 +45,7 @@ def write_channels(item: bpy.types.Object, name: str, channels: Sequence[Channel
     if animation.action is not None:
         animation.action.use_fake_user = True
     action = bpy.data.actions.new(name)
-    slot = action.slots.new(id_type="OBJECT", name=item.name)
+    slot = action.slots.new(id_type=item.id_type, name=item.name)
     strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
     bag = strip.channelbag(slot, ensure=True)
     animation.action = action
@@ -62,6 +62,20 @@ def write_channels(item: bpy.types.Object, name: str, channels: Sequence[Channel
         points.foreach_set("interpolation", kinds)
         curve.update()
     item.update_tag()
+
+
+def find_curve(item: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
+    """The curve of one property in an object's own action; None where it has no keys."""
+    animation = item.animation_data
+    if animation is None or animation.action is None or animation.action_slot is None:
+        return None
+    for layer in animation.action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(animation.action_slot)
+            curve = bag.fcurves.find(path) if bag is not None else None
+            if curve is not None:
+                return curve
+    return None
 
 
 def needed(values: NDArray[Any]) -> NDArray[np.bool_]:

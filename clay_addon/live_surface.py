@@ -15,8 +15,10 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
+from .app_handlers import add_handlers, remove_handlers
 from .look import MODIFIER_NAME
 from .look_material import clay_material
+from .poses import pose_modifier
 from .surface_mesh import fill_surface_mesh
 from .surface_worker import Part, SurfaceWorker
 
@@ -198,6 +200,9 @@ def sweep(scene: bpy.types.Scene | None) -> None:
             modifier = clay.modifiers.get(MODIFIER_NAME)
             if modifier is not None:
                 modifier.show_viewport = before["surface"]
+            keyed = pose_modifier(clay)
+            if keyed is not None:
+                keyed.show_viewport = before["poses"]
             for name in before["seen"]:
                 layer = scene.view_layers.get(name)
                 if layer and clay.name in layer.objects:
@@ -211,14 +216,17 @@ def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
         return
     modifier = clay.modifiers.get(MODIFIER_NAME)
     layers = [layer for layer in scene.view_layers if clay.name in layer.objects]
+    keyed = pose_modifier(clay)
     before = {
         "surface": modifier is not None and modifier.show_viewport,
+        "poses": keyed is not None and keyed.show_viewport,
         "seen": [layer.name for layer in layers if not clay.hide_get(view_layer=layer)],
         "selected": [layer.name for layer in layers if clay.select_get(view_layer=layer)],
     }
     clay[_BEFORE] = json.dumps(before)
-    if modifier is not None:
-        modifier.show_viewport = False
+    for each in (modifier, keyed):
+        if each is not None:
+            each.show_viewport = False
 
 
 def _hide(item: bpy.types.Object, scene: bpy.types.Scene | None, hidden: bool) -> None:
@@ -278,17 +286,11 @@ _HANDLERS = (
 
 def register() -> None:
     """Add the handlers, each once."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """Close what is live, and remove the handlers."""
     for live in list(_open):
         live.close()
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)

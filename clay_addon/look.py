@@ -116,6 +116,19 @@ def get_input(modifier: bpy.types.Modifier, name: str) -> Any:
     return getattr(modifier.properties.inputs, identifier).value
 
 
+def input_path(modifier: bpy.types.Modifier, name: str) -> str:
+    """Return the data path, from its object, that keyframes of a modifier's input have.
+
+    Raises:
+        KeyError: if the modifier has no such input.
+    """
+    identifier = _input_identifier(modifier, name)
+    path = f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]'
+    if bpy.app.version < (5, 2, 0):
+        return f'{path}["{identifier}"]'
+    return f"{path}.properties.inputs.{identifier}.value"
+
+
 def _input_identifier(modifier: bpy.types.Modifier, name: str) -> str:
     for item in modifier.node_group.interface.items_tree:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:

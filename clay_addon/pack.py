@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .cache import Cache, CacheError
-from .look import set_input
+from .look import get_input, set_input
+from .properties import held_frame
 
 NODE_GROUP_NAME = "Clay Playback"
 MODIFIER_NAME = "Clay Playback"
 FRAME_ATTRIBUTE = ".clay_frame_"
 """A leading dot keeps hundreds of attributes out of the lists in the interface."""
 _MARK = "tactile_clay_playback"
-_VERSION = 1
+_VERSION = 2
 _FLOAT_EXACT = 2**24
 """Frames beyond this cannot be told apart by the nodes."""
 
@@ -48,7 +49,7 @@ def is_packed(clay: bpy.types.Object) -> bool:
     )
 
 
-def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike]) -> None:
+def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int = 1) -> None:
     """Store frames in a point cloud and let it play them.
 
     Before the first frame it shows the first, after the last the last, and between two frames (of
@@ -58,13 +59,14 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike]) -> None:
     Args:
         clay: Point cloud object.
         frames: Positions in the object's coordinates [Blender units], shape [N, 3], by frame
-            number, without gaps.
+            number, without gaps: every `hold`-th number.
+        hold: Frames that each is shown for; above 1 it is held, and nothing is shown between two.
 
     Raises:
         PackError: if the object is no point cloud or linked from another file, or frames are
             missing, of the wrong shape, or not finite.
     """
-    checked = _checked_frames(clay, frames)
+    checked = _checked_frames(clay, frames, hold)
     _remove_attributes(clay)
     for number, positions in checked.items():
         layer = clay.data.attributes.new(f"{FRAME_ATTRIBUTE}{number}", "FLOAT_VECTOR", "POINT")
@@ -76,6 +78,7 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike]) -> None:
     modifier.node_group = _playback_group()
     set_input(modifier, "First Frame", min(checked))
     set_input(modifier, "Last Frame", max(checked))
+    set_input(modifier, "Hold", hold)
     clay.data.update_tag()
 
 
@@ -90,7 +93,15 @@ def packed_positions(clay: bpy.types.Object, frame: float) -> NDArray[np.float32
         Positions in the object's coordinates [Blender units], shape [N, 3].
     """
     numbers = [int(name.removeprefix(FRAME_ATTRIBUTE)) for name in _packed_attributes(clay)]
-    frame = min(max(frame, min(numbers)), max(numbers))
+    first = min(numbers)
+    frame = min(max(frame, first), max(numbers))
+    try:
+        hold = get_input(clay.modifiers[MODIFIER_NAME], "Hold")
+    except KeyError:
+        # Packed before shapes could be held.
+        hold = 1
+    if hold > 1:
+        frame = first + math.floor((frame - first) / hold) * hold
     low, high = (np.empty((len(clay.data.points), 3), np.float32) for _ in range(2))
     for number, values in ((math.floor(frame), low), (math.ceil(frame), high)):
         layer = clay.data.attributes[f"{FRAME_ATTRIBUTE}{number}"]
@@ -137,6 +148,7 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         raise PackError("There is no clay in this scene.")
     cache = cache or cache_of(scene)
     numbers = cache.frames() if cache else []
+    hold = scene.tactile_clay.hold_frames
     if cache is None or not numbers:
         raise PackError("There is no bake to pack. Bake first.")
     meta = cache.meta()
@@ -148,23 +160,25 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         raise PackError(f"{error}.") from error
     splits = np.cumsum([part.count for part in meta.clay])[:-1]
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
-    for number in numbers:
+    # Frames that are held over need not be stored.
+    kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
+    for number in kept:
         world = cache.read_frame(number, meta=meta).positions
         for part, matrix, positions in zip(frames, inverse, np.split(world, splits), strict=True):
             part[number] = transform(matrix, positions).astype(np.float32)
-    checked = [_checked_frames(item, part) for item, part in zip(clay, frames, strict=True)]
+    checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
     for item, part in zip(clay, checked, strict=True):
-        pack(item, part)
+        pack(item, part, hold=hold)
     return {
         "frame_start": numbers[0],
         "frame_end": numbers[-1],
         "objects": len(clay),
-        "bytes": 12 * meta.particle_count * len(numbers),
+        "bytes": 12 * meta.particle_count * len(kept),
     }
 
 
 def _checked_frames(
-    clay: bpy.types.Object, frames: Mapping[int, ArrayLike]
+    clay: bpy.types.Object, frames: Mapping[int, ArrayLike], hold: int
 ) -> dict[int, NDArray[np.float32]]:
     if clay.type != "POINTCLOUD":
         raise PackError(f"{clay.name!r} is a {clay.type.lower()}, not a point cloud of clay.")
@@ -176,7 +190,7 @@ def _checked_frames(
     if not frames:
         raise PackError("There are no frames to pack.")
     first, last = min(frames), max(frames)
-    missing = [number for number in range(first, last + 1) if number not in frames]
+    missing = [number for number in range(first, last + 1, hold) if number not in frames]
     if missing:
         raise PackError(
             f"{len(missing)} frames are missing between {first} and {last}, the first of them"
@@ -222,6 +236,7 @@ def _playback_group() -> bpy.types.NodeTree:
     socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     socket("First Frame", in_out="INPUT", socket_type="NodeSocketInt")
     socket("Last Frame", in_out="INPUT", socket_type="NodeSocketInt")
+    socket("Hold", in_out="INPUT", socket_type="NodeSocketInt").default_value = 1
     link = tree.links.new
 
     def node(kind: str, x: float, y: float, **properties: object) -> bpy.types.Node:
@@ -240,10 +255,26 @@ def _playback_group() -> bpy.types.NodeTree:
     link(time.outputs["Frame"], clamped.inputs["Value"])
     link(given.outputs["First Frame"], clamped.inputs["Min"])
     link(given.outputs["Last Frame"], clamped.inputs["Max"])
+    # Held for n frames: the first frame plus a multiple of n, where n is above 1.
+    since = scalar("SUBTRACT", -1200, -300)
+    link(clamped.outputs[0], since.inputs[0])
+    link(given.outputs["First Frame"], since.inputs[1])
+    over = scalar("MODULO", -1050, -300)
+    link(since.outputs[0], over.inputs[0])
+    link(given.outputs["Hold"], over.inputs[1])
+    holds = scalar("GREATER_THAN", -1200, -480)
+    link(given.outputs["Hold"], holds.inputs[0])
+    holds.inputs[1].default_value = 1.5
+    late = scalar("MULTIPLY", -900, -300)
+    link(over.outputs[0], late.inputs[0])
+    link(holds.outputs[0], late.inputs[1])
+    shown = scalar("SUBTRACT", -1050, -100)
+    link(clamped.outputs[0], shown.inputs[0])
+    link(late.outputs[0], shown.inputs[1])
     places = []
     for operation, y in (("FLOOR", 0), ("CEIL", -250)):
         whole = scalar(operation, -1000, y)
-        link(clamped.outputs[0], whole.inputs[0])
+        link(shown.outputs[0], whole.inputs[0])
         text = node("FunctionNodeValueToString", -800, y, data_type="INT")
         link(whole.outputs[0], text.inputs["Value"])
         name = node("FunctionNodeReplaceString", -600, y)
@@ -254,7 +285,7 @@ def _playback_group() -> bpy.types.NodeTree:
         link(name.outputs[0], place.inputs["Name"])
         places.append(place.outputs["Attribute"])
     fraction = scalar("FRACT", -400, -450)
-    link(clamped.outputs[0], fraction.inputs[0])
+    link(shown.outputs[0], fraction.inputs[0])
     change = node("ShaderNodeVectorMath", -200, -150, operation="SUBTRACT")
     link(places[1], change.inputs[0])
     link(places[0], change.inputs[1])

@@ -11,11 +11,13 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from .app_handlers import add_handlers, remove_handlers
 from .bake_checks import BakeError, resolve_directory
 from .cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
 from .clay_points import BAKED_MARK, is_sculpted, write_points
 from .mesh_geometry import local_from_world, transform
 from .pack import is_packed
+from .properties import held_frame
 from .simulation import SimulationError, clay_digest, clay_objects, read_points
 
 _messages: dict[str, str] = {}
@@ -61,13 +63,14 @@ def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
 def shown_frame(scene: bpy.types.Scene) -> int | None:
     """The baked frame shown at the scene's current one; None where that is the rest state.
 
-    Before the first baked frame that is the first, after the last the last.
+    Before the first baked frame that is the first, after the last the last; in between, one may be
+    held for some frames.
     """
     if all(is_packed(item) for item in clay_objects(scene)):
         return scene.frame_current
     cache = cache_of(scene)
     frames = cache.frames() if cache else []
-    return min(max(scene.frame_current, frames[0]), frames[-1]) if frames else None
+    return _wanted(scene, frames) if frames else None
 
 
 def show_rest(scene: bpy.types.Scene) -> None:
@@ -116,7 +119,7 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
         show_rest(scene)
         names = ", ".join(f"{part.name} ({part.count:,} particles)" for part in meta.clay)
         raise CacheError(f"the bake is of other clay: {names}. Bake again")
-    wanted = min(max(scene.frame_current, frames[0]), frames[-1])
+    wanted = _wanted(scene, frames)
     if wanted not in frames:
         raise CacheMissingError("it is missing in the bake. Press Resume")
     try:
@@ -133,6 +136,10 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
         if BAKED_MARK not in item.data:
             item.data[BAKED_MARK] = True
         first += count
+
+
+def _wanted(scene: bpy.types.Scene, frames: list[int]) -> int:
+    return held_frame(scene, min(max(scene.frame_current, frames[0]), frames[-1]), frames[0])
 
 
 def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
@@ -187,17 +194,11 @@ _HANDLERS = (
 
 def register() -> None:
     """Add the handlers, each once."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """Remove the handlers."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     _messages.clear()
     _metas.clear()

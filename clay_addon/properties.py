@@ -37,6 +37,12 @@ def _become_custom(properties: Any, context: bpy.types.Context) -> None:
         properties.material_preset = CUSTOM
 
 
+def _show_held(properties: Any, context: bpy.types.Context) -> None:
+    from .playback import refresh
+
+    refresh(properties.id_data)
+
+
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
     # Values of add-ons do not reach the evaluated object by themselves.
     properties.id_data.update_tag()
@@ -224,6 +230,27 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_cache",
     )
+    delivery_directory: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder of the delivered files; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        default="//clay_delivery",
+    )
+    delivery_kind: bpy.props.EnumProperty(
+        name="Format",
+        description="What is written, and played in place of the clay",
+        items=(
+            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+        ),
+        default="usd",
+    )
+    delivery_points: bpy.props.BoolProperty(
+        name="Particles Too",
+        description="Write the particles beside the surface, for other programs (USD only)",
+        default=False,
+    )
     use_scene_range: bpy.props.BoolProperty(
         name="Scene Range",
         description="Bake the frame range of the scene",
@@ -233,6 +260,17 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         name="Start", description="First frame: the clay as it was made", default=1
     )
     frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
+    hold_frames: bpy.props.IntProperty(
+        name="Hold",
+        description=(
+            "Frames that each simulated shape is held for: 1 shows all, 2 animates on twos. The "
+            "simulation itself stays as it is"
+        ),
+        default=1,
+        min=1,
+        soft_max=8,
+        update=_show_held,
+    )
 
 
 def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
@@ -241,6 +279,18 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     if properties.use_scene_range:
         return scene.frame_start, scene.frame_end
     return properties.frame_start, properties.frame_end
+
+
+def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
+    """The frame whose shape is shown at another one, where each is held for some frames.
+
+    Args:
+        scene: Its setting counts.
+        number: The frame at which it is shown.
+        first: The first frame of the bake.
+    """
+    hold = scene.tactile_clay.hold_frames
+    return first + (number - first) // hold * hold
 
 
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)

@@ -48,6 +48,8 @@ class Surface:
     """Vertex indices of the triangles, counter-clockwise from outside, shape [F, 3]."""
     colors: NDArray[np.float32] | None = None
     """Linear RGBA of the vertices, 0..1, shape [V, 4], or None."""
+    velocities: NDArray[np.float32] | None = None
+    """Velocities of the vertices, in the unit of those of the particles, shape [V, 3], or None."""
 
     @property
     def volume(self) -> float:
@@ -76,6 +78,7 @@ def reconstruct(
     spacing: float,
     *,
     colors: ArrayLike | None = None,
+    velocities: ArrayLike | None = None,
     smoothing: int = 20,
 ) -> Surface:
     """Reconstruct the surface of a particle clay.
@@ -95,17 +98,20 @@ def reconstruct(
         positions: Particle positions [m], shape [N, 3].
         spacing: Distance d between neighbouring particles [m].
         colors: Linear RGBA of the particles, 0..1, shape [N, 4].
+        velocities: Velocities of the particles in any unit, shape [N, 3].
         smoothing: Smoothing passes. More of them flatten the trace of the particles further and
             round edges more.
 
     Raises:
-        SurfaceError: if there is no particle, a position or colour is not finite, shapes do not
-            match, the spacing is not positive, the particles lie too far apart, or no closed mesh
-            could be made.
+        SurfaceError: if there is no particle, a position, colour or velocity is not finite, shapes
+            do not match, the spacing is not positive, the particles lie too far apart, or no closed
+            mesh could be made.
         ImportError: if pysplashsurf is missing.
     """
     points, distance = _checked_positions(positions, spacing)
-    tints = _checked_colors(colors, len(points))
+    tints = _checked_rows(colors, len(points), 4, "colour")
+    motion = _checked_rows(velocities, len(points), 3, "velocity")
+    rows = [part for part in (tints, motion) if part is not None]
     if smoothing < 0:
         raise SurfaceError(f"The number of smoothing passes must not be negative, got {smoothing}.")
     origin = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -121,11 +127,18 @@ def reconstruct(
     attempts = [(cell_size, smoothing) for cell_size in CELL_SIZES] + [(CELL_SIZES[0], 0)]
     for cell_size, passes in attempts:
         try:
-            vertices, faces, tint = _reconstruct_local(local, tints, cell_size, passes)
+            vertices, faces, carried = _reconstruct_local(
+                local, np.concatenate(rows, axis=1) if rows else None, cell_size, passes
+            )
         except SurfaceError as error:
             fault = error
             continue
-        return Surface(vertices * distance + origin, faces, tint)
+        return Surface(
+            vertices * distance + origin,
+            faces,
+            None if carried is None or tints is None else carried[:, :4],
+            None if carried is None or motion is None else carried[:, -3:],
+        )
     raise SurfaceError(
         f"No closed surface could be made of these {len(points)} particles: {fault}"
     ) from fault
@@ -214,19 +227,24 @@ def _checked_positions(positions: ArrayLike, spacing: float) -> tuple[Floats, fl
     return points, distance
 
 
-def _checked_colors(colors: ArrayLike | None, particle_count: int) -> NDArray[np.float32] | None:
-    if colors is None:
+def _checked_rows(
+    values: ArrayLike | None, particle_count: int, width: int, what: str
+) -> NDArray[np.float32] | None:
+    if values is None:
         return None
-    tints = np.asarray(colors, dtype=np.float32)
-    if tints.shape != (particle_count, 4):
-        raise SurfaceError(f"Colors must have the shape ({particle_count}, 4), not {tints.shape}.")
-    if not np.isfinite(tints).all():
-        raise SurfaceError("Some particles have a colour that is not finite.")
-    return tints
+    rows = np.asarray(values, dtype=np.float32)
+    if rows.shape != (particle_count, width):
+        raise SurfaceError(
+            f"Each particle needs one {what}: the shape ({particle_count}, {width}), not"
+            f" {rows.shape}."
+        )
+    if not np.isfinite(rows).all():
+        raise SurfaceError(f"Some particles have a {what} that is not finite.")
+    return rows
 
 
 def _reconstruct_local(
-    points: Floats, tints: NDArray[np.float32] | None, cell_size: float, smoothing: int
+    points: Floats, values: NDArray[np.float32] | None, cell_size: float, smoothing: int
 ) -> tuple[Floats, Indices, NDArray[np.float32] | None]:
     """Make the corrected mesh; lengths in units of d."""
     vertices, faces = _contour(points, cell_size, smoothing)
@@ -237,7 +255,7 @@ def _reconstruct_local(
     used, compact = np.unique(faces[kept], return_inverse=True)
     vertices, faces, solid = vertices[used], compact.reshape(-1, 3), solid[used]
     # Colours belong to where the particles are, before the volume is corrected.
-    tint = None if tints is None else grid.blend(vertices, tints)
+    carried = None if values is None else grid.blend(vertices, values)
     vertices = _match_volumes(vertices, faces, solid, particle_count)
     shortest = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, -1, axis=1)], axis=2).min()
     if not shortest > SMALLEST_EDGE:
@@ -246,7 +264,7 @@ def _reconstruct_local(
     if not abs(error) < LARGEST_VOLUME_ERROR:
         raise SurfaceError(f"the mesh misses the volume of the particles by {error:.1%}.")
     check_closed_manifold(faces, len(vertices))
-    return vertices, faces, tint
+    return vertices, faces, carried
 
 
 def _contour(points: Floats, cell_size: float, smoothing: int) -> tuple[Floats, Indices]:

@@ -80,6 +80,31 @@ def test_export_writes_the_frame_asked_for(
     assert lowest[1] == pytest.approx(0.0, abs=2.5e-3)
 
 
+def test_deliver_writes_files_and_tells_what_they_take(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Write what is baked as USD beside the .blend; play it there only with --save."""
+    assert main(["bake", str(blend)]) == 0
+    capfd.readouterr()
+    assert main(["deliver", str(blend), "--frames", "1-3", "--json"]) == 0
+    said = capfd.readouterr()
+    table = json.loads(said.out)
+    assert (table["start"], table["end"], table["shapes"], table["object_name"]) == (1, 3, 3, "")
+    assert table["bytes"] > 3 * table["bytes_per_shape"] * 0.9 > 0
+    assert table["seconds_per_shape"] > 0
+    assert Path(table["file"]) == tmp_path / "clay_delivery" / "clay.usda"
+    assert "frame 3, 3 of 3" in said.err
+    output = tmp_path / "alembic"
+    options = ["--format", "abc", "--output", str(output), "--save"]
+    assert main(["deliver", str(blend), *options]) == 0
+    assert "Frames 1 to 4, 4 shapes: " in capfd.readouterr().out
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    (cache_file,) = bpy.data.cache_files
+    assert cache_file.filepath == "//alembic/frames/clay_000001.abc"
+    assert main(["deliver", str(blend), "--output", str(tmp_path)]) == 1
+    assert "other files than a delivery" in capfd.readouterr().err
+
+
 def test_export_of_a_damaged_frame_is_refused(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -91,7 +116,7 @@ def test_export_of_a_damaged_frame_is_refused(
     assert "Frame 3: frame_000003.npz is damaged" in capfd.readouterr().err
     assert not output.exists()
     assert main(["export", str(blend), "--output", str(tmp_path / "shape.doc")]) == 1
-    assert "Use one of .stl, .obj, .ply, .glb" in capfd.readouterr().err
+    assert "Use one of .stl, .3mf, .obj, .ply, .glb" in capfd.readouterr().err
 
 
 def test_export_of_a_frame_that_is_not_baked_says_what_it_is(

@@ -8,8 +8,10 @@ import io
 import os
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import bpy
 import numpy as np
@@ -43,11 +45,44 @@ def srgb(linear: Any) -> np.ndarray:
 
 
 def read(path: Path) -> trimesh.Trimesh:
-    """Read the one mesh of a file."""
+    """Read the one mesh of a file; in metres where the file says its unit."""
+    if path.suffix == ".3mf":
+        return read_3mf(path)
     loaded = trimesh.load(path)
     if isinstance(loaded, trimesh.Scene):
         (loaded,) = loaded.geometry.values()
     return loaded
+
+
+def read_3mf(path: Path) -> trimesh.Trimesh:
+    """Read a 3MF by its specification: a mesh in metres, with the colours of its corners."""
+    core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
+    material = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        relations = ElementTree.fromstring(archive.read("_rels/.rels"))
+        types = archive.read("[Content_Types].xml").decode()
+        target = relations[0].attrib["Target"].lstrip("/")
+        root = ElementTree.fromstring(archive.read(target))
+    assert "application/vnd.ms-package.3dmanufacturing-3dmodel+xml" in types
+    assert root.attrib["unit"] == "millimeter"
+    (part,) = root.findall(f"{core}resources/{core}object")
+    (built,) = root.findall(f"{core}build/{core}item")
+    assert built.attrib["objectid"] == part.attrib["id"]
+    vertices = [[float(each.attrib[axis]) for axis in "xyz"] for each in part.iter(f"{core}vertex")]
+    triangles = list(part.iter(f"{core}triangle"))
+    faces = [[int(each.attrib[key]) for key in ("v1", "v2", "v3")] for each in triangles]
+    mesh = trimesh.Trimesh(np.array(vertices) / 1000, faces, process=False)
+    palette = [
+        list(bytes.fromhex(each.attrib["color"][1:])) for each in root.iter(f"{material}color")
+    ]
+    if palette:
+        colors = np.zeros((len(vertices), 4), np.uint8)
+        for face, each in zip(faces, triangles, strict=True):
+            assert each.attrib["pid"] == "1"
+            colors[face] = [palette[int(each.attrib[key])] for key in ("p1", "p2", "p3")]
+        mesh.visual.vertex_colors = colors
+    return mesh
 
 
 @pytest.mark.parametrize("suffix", export.SUFFIXES)
@@ -68,17 +103,17 @@ def test_file_is_watertight_and_of_the_same_volume(
 def test_axes_are_those_of_blenders_exporters(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """STL and PLY keep Z up; OBJ and GLB have Y up."""
+    """STL, 3MF and PLY keep Z up; OBJ and GLB have Y up."""
     middle = read(write_mesh(surface, tmp_path / f"clay{suffix}")).bounds.mean(axis=0)
-    expected = (0.2, -0.1, 0.3) if suffix in (".stl", ".ply") else (0.2, 0.3, 0.1)
+    expected = (0.2, -0.1, 0.3) if suffix in (".stl", ".3mf", ".ply") else (0.2, 0.3, 0.1)
     np.testing.assert_allclose(middle, expected, atol=1e-3)
 
 
-@pytest.mark.parametrize("suffix", [".obj", ".ply", ".glb"])
+@pytest.mark.parametrize("suffix", [".3mf", ".obj", ".ply", ".glb"])
 def test_colours_are_in_the_formats_own_space(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """OBJ and PLY hold sRGB, GLB holds linear colours; both ends of the slab are right to 1 %."""
+    """3MF, OBJ and PLY hold sRGB, GLB linear colours; both ends of the slab are right to 1 %."""
     mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
     visual = mesh.visual
     stored = visual.vertex_attributes["color"] if suffix == ".glb" else visual.vertex_colors
@@ -119,7 +154,7 @@ def imported(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return vertices @ matrix[:3, :3].T + matrix[:3, 3], colors
 
 
-@pytest.mark.parametrize("suffix", export.SUFFIXES)
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".glb"])
 def test_blender_imports_the_same_place_and_colours(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
@@ -197,7 +232,7 @@ def test_millimetres_are_a_thousand_times_larger(
 @pytest.mark.parametrize(
     ("name", "unit", "message"),
     [
-        ("clay.fbx", "m", r"'\.fbx'.*\.stl, \.obj, \.ply, \.glb"),
+        ("clay.fbx", "m", r"'\.fbx'.*\.stl, \.3mf, \.obj, \.ply, \.glb"),
         ("clay", "m", "without a suffix"),
         ("clay.stl", "inch", "m, mm"),
         ("clay.glb", "mm", "always in metres"),
@@ -326,7 +361,7 @@ def test_operator_exports_all_or_selected(studio: Any, tmp_path: Path) -> None:
 def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
     """An unknown suffix, an empty selection and particles that are not finite are reported."""
     clay = studio.clay()
-    assert ".stl, .obj, .ply, .glb" in studio.refused(
+    assert ".stl, .3mf, .obj, .ply, .glb" in studio.refused(
         bpy.ops.clay.export, filepath=str(tmp_path / "clay.abc")
     )
     studio.select()
@@ -386,3 +421,43 @@ def test_file_system_that_takes_no_file_is_said(
     monkeypatch.setattr(Path, "unlink", refuse)
     with pytest.raises(ExportError, match="Read-only file system"):
         write_mesh(surface, tmp_path / "clay.stl")
+
+
+MEMORY = """
+import os, resource, sys
+import bpy
+import numpy as np
+from tactile_clay.clay_addon.export import _print_table, write_mesh
+from tactile_clay.clay_addon.surface import reconstruct
+import trimesh
+
+def peak():
+    # In kilobytes, on macOS in bytes.
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+side = 21
+points = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3) * 0.002
+points += np.random.default_rng(0).normal(0, 0.0002, points.shape)
+colors = np.random.default_rng(1).uniform(0, 1, (len(points), 4)).astype(np.float32)
+reconstruct(points[:100], 0.002, colors=colors[:100])
+before = peak()
+surface = reconstruct(points, 0.002, colors=colors)
+for suffix in (".stl", ".3mf", ".obj", ".ply", ".glb"):
+    write_mesh(surface, os.path.join(sys.argv[-1], "clay" + suffix))
+_print_table(surface, 1.0)
+print(len(points), peak() - before)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
+def test_memory_stays_in_proportion(tmp_path: Path) -> None:
+    """All formats with the checks take less than 5 kB a particle at their peak, colours random."""
+    result = subprocess.run(
+        [sys.executable, "-c", MEMORY, str(tmp_path)], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
+    count, growth = (int(word) for word in result.stdout.split()[-2:])
+    assert growth / count < 5000

@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 import pytest
 
-from tactile_clay.clay_addon import panel
+from tactile_clay.clay_addon import delivery_panel, panel
 from tactile_clay.clay_addon.bake import bake
 
 
@@ -67,3 +67,16 @@ def test_stale_bake_is_told(studio: Any, tmp_path: Path, scale: float) -> None:
     bpy.context.view_layer.update()
     expected = "since then changed: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, so"
     assert expected in drawn(panel.CLAY_PT_bake)
+
+
+def test_delivery_tells_what_is_keyed_and_delivered(studio: Any, tmp_path: Path) -> None:
+    """Offer only what there is something for: poses to remove, a delivery to take back."""
+    assert not delivery_panel.CLAY_PT_delivery.poll(bpy.context)
+    studio.clay()
+    studio.save(tmp_path)
+    assert "keyed" not in drawn(delivery_panel.CLAY_PT_delivery)
+    bpy.ops.clay.pose_key()
+    assert "1 pose keyed" in drawn(delivery_panel.CLAY_PT_delivery)
+    assert "Bake to USD" in drawn(delivery_panel.CLAY_PT_delivery)
+    studio.scene.tactile_clay.delivery_kind = "abc"
+    assert "Bake to Alembic" in drawn(delivery_panel.CLAY_PT_delivery)

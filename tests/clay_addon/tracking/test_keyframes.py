@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A recording as keyframes."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +55,39 @@ def test_keys_play_what_was_recorded(studio: Any, kind: str) -> None:
         assert item[CONTACT_PROPERTY] == pytest.approx(hands[number].contact, abs=1e-6)
     scene.frame_set(100)
     assert item[CONTACT_PROPERTY] == 0.0
+
+
+READ_BACK = """
+import json, os, sys
+import bpy
+bpy.ops.wm.open_mainfile(filepath=sys.argv[-2])
+assert not [name for name in sys.modules if name.startswith("tactile_clay")]
+hand = bpy.data.objects[sys.argv[-3]]
+found = {}
+for frame in (1, 8, 20):
+    bpy.context.scene.frame_set(frame)
+    found[frame] = {bone.name: list(bone.head) for bone in hand.pose.bones}
+with open(sys.argv[-1], "w") as file:
+    json.dump(found, file)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_keys_play_where_the_addon_is_not(studio: Any, tmp_path: Path) -> None:
+    """Pose every bone alike in a process that never saw the add-on."""
+    item = add_hand()
+    import_recording(studio.scene, waving(), {"right": item}, start=1)
+    path = studio.save(tmp_path)
+    script, output = tmp_path / "read_back.py", tmp_path / "heads.json"
+    script.write_text(READ_BACK)
+    command = [sys.executable, str(script), item.name, str(path), str(output)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert output.is_file(), done.stdout[-2000:] + done.stderr[-2000:]
+    for frame, heads in json.loads(output.read_text()).items():
+        studio.scene.frame_set(int(frame))
+        for bone in item.pose.bones:
+            assert np.allclose(heads[bone.name], bone.head, atol=1e-6)
 
 
 def test_lengths_stay_between_frames(studio: Any) -> None:

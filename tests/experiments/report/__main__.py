@@ -23,6 +23,7 @@ from .companions import (
     hard_cases,
     measure_frames,
     measure_hands,
+    measure_live_surfaces,
     measure_surfaces,
     run_ablation,
     run_hard_case,
@@ -123,6 +124,8 @@ def main() -> None:
     if not options.quick:
         say("Measuring soft hands, alone ...")
         report.hands = measure_hands()
+        say("Measuring surfaces ...")
+        report.live_surfaces = measure_live_surfaces()
         report.surfaces = measure_surfaces()
         say("Measuring a frame of live sculpting, alone ...")
         report.frames = measure_frames()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: hard cases, ablation, hands, touch ...
+"""Parts of the report that modules of their own bring: hard cases, surfaces, hands and others.
 
 Each is run where its module stands beside this folder, and left out where it does not.
 """
@@ -101,6 +101,16 @@ def run_touch(folder: Path) -> list[str]:
     return list(touch.run_touch(folder)) if touch else []
 
 
+def measure_surfaces() -> list[str]:
+    """Measure how far surfaces are from the shapes that were filled.
+
+    Returns:
+        Lines of Markdown, none where there is no such module.
+    """
+    surfaces = companion("surface_accuracy")
+    return list(surfaces.surface_lines()) if surfaces else []
+
+
 def measure_hands() -> list[str]:
     """Measure what soft hands cost, and how they press.
 
@@ -113,7 +123,7 @@ def measure_hands() -> list[str]:
     return [*cost.cost_lines(), "", *press.press_lines(), ""]
 
 
-def measure_surfaces() -> list[str]:
+def measure_live_surfaces() -> list[str]:
     """Measure what surfaces cost while clay is worked, and how far off they are.
 
     Returns:

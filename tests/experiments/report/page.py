@@ -52,10 +52,12 @@ class Report:
     """What happened in hard cases."""
     hands: list[str] = field(default_factory=list)
     """Lines of the part about soft hands."""
-    surfaces: list[str] = field(default_factory=list)
-    """Lines of the part about surfaces."""
+    live_surfaces: list[str] = field(default_factory=list)
+    """Lines of the part about surfaces while clay is worked."""
     ablation: list[str] = field(default_factory=list)
     """Lines of the ablation's part."""
+    surfaces: list[str] = field(default_factory=list)
+    """Lines of the part about surfaces."""
     frames: list[str] = field(default_factory=list)
     """Lines of the live frame's part."""
     touch: list[str] = field(default_factory=list)
@@ -99,12 +101,14 @@ def write_page(report: Report, folder: Path) -> None:
         ]
     if report.hands:
         lines += ["## Soft hands", "", *report.hands, ""]
-    if report.surfaces:
-        lines += ["## Surfaces while clay is worked", "", *report.surfaces, ""]
+    if report.live_surfaces:
+        lines += ["## Surfaces while clay is worked", "", *report.live_surfaces, ""]
     if report.frames:
         lines += ["## A frame of live sculpting", "", *report.frames]
     if report.ablation:
         lines += ["## Ablation", "", *report.ablation, ""]
+    if report.surfaces:
+        lines += ["## Surfaces", "", *report.surfaces, ""]
     if report.touch:
         lines += ["## Touch", "", *report.touch]
     if report.hard_cases:
