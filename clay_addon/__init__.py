@@ -20,7 +20,7 @@ _MODULES = (
     "bake_operators",
     "playback",
     "sculpt.take_operators",
-    "export",
+    "export_operators",
     "pack",
     "pose_operators",
     "foci_empties",
