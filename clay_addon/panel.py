@@ -35,6 +35,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Making clay, and what it is made of."""
 
     bl_label = "Clay"
+    bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -91,6 +92,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """What presses on the clay."""
 
     bl_label = "Colliders"
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -115,6 +117,7 @@ class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Hands that work the clay."""
 
     bl_label = "Hands"
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -140,6 +143,7 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """The bake: its range, its folder, its state."""
 
     bl_label = "Bake"
+    bl_order = 6
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -188,6 +192,7 @@ class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Taking the shape out of Blender."""
 
     bl_label = "Export"
+    bl_order = 8
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
 from . import overlay, session
 from .brush import Brush
@@ -222,18 +223,12 @@ def register() -> None:
     """Register the operators and the handlers."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """End a session that runs; take all away."""
     session.stop(bpy.context)
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

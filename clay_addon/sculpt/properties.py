@@ -10,6 +10,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
+from ..app_handlers import add_handlers, remove_handlers
 from ..simulation import clay_objects
 from ..tool_presets import ToolPreset, ToolPresetError
 from ..tool_stamp import stamp_from_object
@@ -242,19 +243,13 @@ _HANDLERS = (
 
 def register() -> None:
     """Register the properties and hang them on scenes."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
     bpy.utils.register_class(ClaySculptProperties)
     bpy.types.Scene.tactile_clay_sculpt = bpy.props.PointerProperty(type=ClaySculptProperties)
 
 
 def unregister() -> None:
     """Take the properties away; what a .blend keeps stays in it."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     del bpy.types.Scene.tactile_clay_sculpt
     bpy.utils.unregister_class(ClaySculptProperties)
