@@ -262,7 +262,13 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         server = add("array-server", "drive an ultrasound array with focal points", _array_server)
         add_server_arguments(server)
 
-    demo = add("demo", "make and render the kindergarten scene", _demo)
+    demo = add("demo", "make and render a scene with clay and hands", _demo)
+    demo.add_argument(
+        "--scene",
+        choices=("kindergarten", "wheel"),
+        default="kindergarten",
+        help="blocks and figures on a table, or a pot on a wheel (default: kindergarten)",
+    )
     demo.add_argument(
         "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
     )
@@ -508,7 +514,7 @@ def _demo(arguments: argparse.Namespace) -> _Outcome:
     _need_bpy()
     from . import demo
 
-    return demo.main(["--output", str(arguments.output)]), ""
+    return demo.main(["--scene", arguments.scene, "--output", str(arguments.output)]), ""
 
 
 def _track(arguments: argparse.Namespace) -> _Outcome:

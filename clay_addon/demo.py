@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demonstration: simulate, pack, export and render the kindergarten scene.
+"""The demonstration: simulate, pack, export and render the kindergarten or the wheel scene.
 
 It leaves a .blend that plays with and without the extension, the last frame as STL, PLY and GLB, a
 contact sheet of six moments, and a report with the figures.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 import os
 import platform
@@ -42,12 +43,22 @@ _STAGE_SECONDS = {
 }
 
 
+SCENES = {
+    "kindergarten": ("kindergarten", (0.05, 0.22, 0.35, 0.72, 0.93, 1.0)),
+    "wheel": ("wheel_scene", (0.04, 0.22, 0.42, 0.62, 0.83, 1.0)),
+}
+"""Scenes by name: the module that builds it, and when a picture of it is taken, as shares of its
+frames: in the first hands come, flatten and pinch, tear, push, press; in the second they come,
+centre, open, and widen. The last picture shows what they leave."""
+
+
 class DemoError(Exception):
     """The demonstration cannot go on; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
 class _Options:
+    scene: str
     output: Path
     frame_count: int
     width: int
@@ -94,26 +105,31 @@ def main(argv: Sequence[str]) -> int:
 
 
 def _parse(argv: Sequence[str]) -> _Options:
-    from .kindergarten import FRAME_COUNT
-
     parser = argparse.ArgumentParser(
-        prog="tactile-clay demo", description="Make and render the kindergarten scene."
+        prog="tactile-clay demo", description="Make and render a scene with clay and hands."
     )
+    parser.add_argument("--scene", choices=sorted(SCENES), default="kindergarten")
     parser.add_argument("--output", type=Path, default=Path("build/demo"), help="where it goes")
-    parser.add_argument("--frames", type=int, default=FRAME_COUNT, help="frames to simulate")
+    parser.add_argument("--frames", type=int, help="frames to simulate (default: all)")
     parser.add_argument("--width", type=int, default=600, help="width of one picture [pixels]")
     parser.add_argument("--samples", type=int, default=16, help="samples a pixel")
     words = parser.parse_args(list(argv))
-    if not 2 <= words.frames <= FRAME_COUNT:
-        parser.error(f"--frames must be 2 to {FRAME_COUNT}.")
+    whole = _scene_module(words.scene).FRAME_COUNT
+    frames = whole if words.frames is None else words.frames
+    if not 2 <= frames <= whole:
+        parser.error(f"--frames must be 2 to {whole}.")
     if words.width < 16 or words.samples < 1:
         parser.error("--width must be at least 16 and --samples at least 1.")
-    return _Options(words.output.absolute(), words.frames, words.width, words.samples)
+    return _Options(words.scene, words.output.absolute(), frames, words.width, words.samples)
+
+
+def _scene_module(scene: str) -> Any:
+    return importlib.import_module(f".{SCENES[scene][0]}", __package__)
 
 
 def _make(options: _Options, progress: _Progress) -> list[str]:
     """Make everything, and return what to tell about it."""
-    from . import kindergarten, register, scene_stage
+    from . import register
     from .bake import BakeProgress, bake
     from .export import clay_surface, write_mesh
     from .pack import pack_bake
@@ -130,15 +146,14 @@ def _make(options: _Options, progress: _Progress) -> list[str]:
 
     progress.start("Building the scene")
     scene = context.scene
-    built = kindergarten.build(context)
+    module = _scene_module(options.scene)
+    built = module.build(context)
     count = len(built.clay.data.points)
-    if count != kindergarten.PARTICLE_COUNT:
-        raise DemoError(
-            f"The scene holds {count} particles instead of {kindergarten.PARTICLE_COUNT}."
-        )
+    if count != module.PARTICLE_COUNT:
+        raise DemoError(f"The scene holds {count} particles instead of {module.PARTICLE_COUNT}.")
     scene.frame_end = options.frame_count
     scene.tactile_clay.cache_directory = "//cache"
-    blend = options.output / "kindergarten.blend"
+    blend = options.output / f"{options.scene}.blend"
     _save(blend)
 
     progress.start("Simulating")
@@ -160,22 +175,24 @@ def _make(options: _Options, progress: _Progress) -> list[str]:
     scene.frame_set(scene.frame_end)
     surface, _, volume = clay_surface(context, [built.clay])
     files = [blend]
-    files += [write_mesh(surface, options.output / f"kindergarten{suffix}") for suffix in EXPORTS]
+    files += [
+        write_mesh(surface, options.output / f"{options.scene}{suffix}") for suffix in EXPORTS
+    ]
 
     progress.start("Rendering")
-    sheet = options.output / "kindergarten.png"
-    moments = _moments(options.frame_count)
+    sheet = options.output / f"{options.scene}.png"
+    moments = _moments(options.scene, options.frame_count)
     _render_sheet(context, built.clay, moments, sheet, options, progress)
     files.append(sheet)
 
     report = {
-        "scene": "kindergarten",
+        "scene": options.scene,
         "particles": count,
         "frames": result.end + 1 - result.start,
-        "frames_per_second": scene_stage.FRAMES_PER_SECOND,
+        "frames_per_second": scene.render.fps,
         "device": result.device,
         "settings": result.settings,
-        "spacing_m": kindergarten.SPACING,
+        "spacing_m": module.SPACING,
         "milliseconds_a_frame": {
             "median": _rounded(np.median(milliseconds)),
             "percentile_90": _rounded(np.percentile(milliseconds, 90)),
@@ -225,15 +242,14 @@ def _load_kernels(device: str) -> None:
 
 
 def _save(path: Path) -> None:
-    # A second run must not leave the first one's file as kindergarten.blend1.
+    # A second run must not leave the first one's file as a .blend1.
     bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
 
 
-def _moments(frame_count: int) -> list[int]:
-    """Frames to show: hands come, flatten and pinch, tear, push, press; and what they leave."""
-    shares = (0.05, 0.22, 0.35, 0.72, 0.93, 1.0)
-    return [max(1, round(share * frame_count)) for share in shares]
+def _moments(scene: str, frame_count: int) -> list[int]:
+    """Frames to show of a scene."""
+    return [max(1, round(share * frame_count)) for share in SCENES[scene][1]]
 
 
 # Contact sheet ---------------------------------------------------------------------------------

@@ -129,9 +129,9 @@ def test_sheet_puts_panels_in_reading_order() -> None:
 
 def test_moments_begin_with_the_untouched_clay_and_end_with_the_last_frame() -> None:
     """Show frames in order, the last one included."""
-    moments = demo._moments(120)
+    moments = demo._moments("kindergarten", 120)
     assert moments == sorted(set(moments)) and moments[-1] == 120
-    assert min(demo._moments(2)) >= 1
+    assert min(demo._moments("wheel", 2)) >= 1
 
 
 @pytest.mark.parametrize("words", [["--frames", "1"], ["--frames", "999"], ["--width", "2"]])
