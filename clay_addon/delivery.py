@@ -13,6 +13,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -32,7 +33,7 @@ from .delivery_folder import (
 from .delivery_object import close_delivery, show_delivery
 from .playback import cache_of
 from .properties import frame_range
-from .shown_clay import ShownClay, ShownClayError, particles_surface
+from .shown_clay import ShownClay, ShownClayError, moves, particles_surface
 from .simulation import clay_objects, frames_per_second
 from .surface import SurfaceError
 
@@ -172,11 +173,12 @@ def deliver_steps(
     if not clay:
         raise DeliveryError("There is no clay to deliver. Make clay first.")
     tally = _Tally()
+    previous = scene.frame_current, scene.frame_subframe
     try:
         shown = ShownClay(scene, clay, cache_of(scene))
         first, last = _range(scene, shown, start, end)
-        own = ("own",)
-        if shown.sculpted and any(own in shown.key(n) for n in range(first, last + 1)):
+        keys = (key for number in range(first, last + 1) for key in shown.key(number))
+        if shown.sculpted and any(key[0] == "own" for key in keys):
             raise DeliveryError(
                 "The clay was sculpted since it was baked, so it does not play that bake. Bake "
                 "again, undo, or Free the bake to deliver what was sculpted."
@@ -218,6 +220,11 @@ def deliver_steps(
             f"{target} could not be written ({error.strerror or error}). What was there is as it "
             "was. Choose another folder, or free some space."
         ) from error
+    finally:
+        # Undo replaces the scene.
+        with suppress(ReferenceError):
+            if (scene.frame_current, scene.frame_subframe) != previous:
+                scene.frame_set(previous[0], subframe=previous[1])
     name = ""
     if show:
         with_points = points and kind == "usd"
@@ -284,9 +291,12 @@ def _write_frames(
     writer = FrameWriter(folder / FRAMES_FOLDER, kind, frames_per_second=rate, points=points)
     total = last + 1 - first
     began = time.perf_counter()
+    moving = any(moves(item) for item in clay_objects(scene))
     for number in range(first, last + 1):
         key = shown.key(number)
         if key not in files:
+            if moving:
+                scene.frame_set(number)
             start = time.perf_counter()
             particles = shown.read(number)
             surface, count, volume = particles_surface(particles, moving=kind == "usd")
