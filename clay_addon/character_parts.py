@@ -12,7 +12,7 @@ from mathutils.bvhtree import BVHTree
 from .kindergarten_parts import Vec3, plain_material
 from .mesh_geometry import evaluated_mesh, transform
 
-HEAD = 0.105
+HEAD = 0.095
 """Height of the head, to which all lengths of the bust are drawn [m]."""
 _TILT = Matrix.Rotation(radians(-10.0), 4, "X")
 """Makes her look up a little."""

@@ -13,7 +13,7 @@ from .collider import make_collider
 from .kindergarten_parts import Vec3, mesh_object, plain_material
 from .tool_presets import load_tool_preset
 
-_AWAY = 0.05
+_AWAY = 0.03
 """How far off the clay a tool waits [m]."""
 _PARKED = Vector((0.45, -0.05, 0.30))
 """Where tools of her left side wait, out of the picture [m]; the others opposite."""
@@ -76,6 +76,23 @@ class ModellingTool:
         for frame, where in zip(frames, (away, tip, tip, away), strict=True):
             self._key(frame, where, out)
 
+    def draw(self, spots: Sequence[Spot], depth: float, start: int, frames_each: int) -> None:
+        """Draw the tool through the clay along a line, and take it out.
+
+        Args:
+            spots: The line.
+            depth: How deep its tip goes below it [m].
+            start: Frame at which it sets out.
+            frames_each: Between two spots.
+        """
+        (first, out), (last, last_out) = spots[0], spots[-1]
+        self._key(start, first + _AWAY * out, out)
+        frame = start + 2 * frames_each
+        for place, way in spots:
+            self._key(frame, place - depth * way, way)
+            frame += frames_each
+        self._key(frame + frames_each, last + _AWAY * last_out, last_out)
+
     def write(self) -> bpy.types.Object:
         """Key what the tool was told to do, and that it waits out of the picture before and after.
 
@@ -94,6 +111,10 @@ class ModellingTool:
             self.item.rotation_quaternion = turn
             self.item.keyframe_insert("location", frame=frame)
             self.item.keyframe_insert("rotation_quaternion", frame=frame)
+        # On the way it is fast, and would cost the solver substeps for nothing.
+        for frame, enabled in ((start, False), (keys[0][0], True), (keys[-1][0], False)):
+            self.item.tactile_clay.collider_enabled = enabled
+            self.item.keyframe_insert("tactile_clay.collider_enabled", frame=frame)
         return self.item
 
     def _key(self, frame: int, place: Vector, out: Vector) -> None:
