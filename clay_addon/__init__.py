@@ -18,6 +18,7 @@ _MODULES = (
     "scene_operators",
     "hand_operators",
     "bake_operators",
+    "wheel",
     "playback",
     "sculpt.take_operators",
     "export",

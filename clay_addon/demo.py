@@ -230,7 +230,7 @@ def _load_kernels(device: str) -> None:
 
 
 def _save(path: Path) -> None:
-    # A second run must not leave the first one's file as kindergarten.blend1.
+    # A second run must not leave the first one's file as a .blend1.
     bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
 

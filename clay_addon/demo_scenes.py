@@ -48,7 +48,8 @@ SCENES = {
     "wheel": DemoScene(
         module="wheel_scene",
         what="two hands throw a pot on a potter's wheel",
-        moments=(0.02, 0.25, 0.5, 0.75, 1.0),
+        # Hands come, centre, open, widen; and what they leave.
+        moments=(0.04, 0.22, 0.42, 0.62, 0.83, 1.0),
         layout="feature",
         width=960,
         samples=48,

@@ -109,6 +109,10 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box.prop(item.tactile_clay, "collider_kind")
             box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
+            box.prop(item.tactile_clay, "collider_adhesion")
+            # Decorated, as a pedal is there to be keyed.
+            box.use_property_decorate = True
+            box.prop(item.tactile_clay, "wheel_speed")
 
 
 class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
