@@ -14,11 +14,11 @@ from .mesh_geometry import evaluated_mesh, transform
 
 HEAD = 0.095
 """Height of the head, to which all lengths of the bust are drawn [m]."""
-_TILT = Matrix.Rotation(radians(-10.0), 4, "X")
+_TILT = Matrix.Rotation(radians(-22.0), 4, "X")
 """Makes her look up a little."""
 _BODY = (
     ("neck", (0.0, 0.06, -0.50), (0.30, 0.28, 0.34)),
-    ("body", (0.0, 0.04, -0.84), (0.43, 0.33, 0.36)),
+    ("body", (0.0, 0.04, -0.84), (0.46, 0.35, 0.38)),
 )
 """Middle and radii of the ellipsoids under the head [heads]."""
 _BASE = -0.98

@@ -45,16 +45,18 @@ _BLACK = (0.018, 0.015, 0.014)
 _STEEL = (0.35, 0.36, 0.38)
 _RUBBER = (0.30, 0.10, 0.055)
 
-_EYE = (0.185, 1.165)
-_STAR = (0.0, 0.20)
-_EAR = (0.545, 1.07)
-_NOSTRIL = (0.055, 0.90)
-"""Places of the right side of the face in the front view: x and z [heads]."""
-_SMILE = ((-0.155, 0.735), (-0.11, 0.675), (-0.055, 0.640), (0.0, 0.63))
+_EYE = (0.195, 1.165)
+_STAR = (0.0, 0.24)
+_EAR = (0.55, 1.09)
+_NOSTRIL = (0.062, 0.865)
+"""Places of the left side of her face in the front view: x and z [heads]."""
+_SMILE = ((0.168, 0.800), (0.125, 0.745), (0.065, 0.710), (0.0, 0.700))
 """Half of the smile, likewise."""
-_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS = 0.080, 0.043, 0.105
-_BERET = (0.31, 0.30, 0.105)
+_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.100, 0.055, 0.105, 0.090
+_BERET = (0.42, 0.40, 0.115)
 """Radii [heads]."""
+_STICKINESS = 20000.0
+"""Of the board, onto which the bust was pressed: it must not slide or rock [Pa]."""
 
 
 @dataclass(frozen=True)
@@ -114,19 +116,19 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
 def _eye(skin: Skin) -> Spot:
     """Where an eye goes, and how it looks out: forward, a little up and to the side."""
     place, _ = _on(skin, _EYE)
-    return place, Vector((0.16, -1.0, 0.16)).normalized()
+    return place, Vector((0.12, -1.0, 0.20)).normalized()
 
 
 def _add_beret(skin: Skin) -> list[bpy.types.Object]:
     """Lay a beret with a bobble on the head, askew."""
-    top = skin.met((0.10 * HEAD, 0.06 * HEAD, 1.0), (0.0, 0.0, -1.0))[0]
+    top = skin.met((0.07 * HEAD, 0.04 * HEAD, 1.0), (0.0, 0.0, -1.0))[0]
     radii = tuple(HEAD * radius for radius in _BERET)
     middle = top + Vector((0.0, 0.0, 0.75 * radii[2]))
     beret = add_ball("Beret", middle, (radii[0], radii[1], radii[2]), _TEAL)
     beret.rotation_euler = (0.12, 0.20, 0.0)
     bpy.context.view_layer.update()
     crown, out = Skin(beret).met((middle.x, middle.y, 1.0), (0.0, 0.0, -1.0))
-    radius = 0.075 * HEAD
+    radius = HEAD * _BOBBLE_RADIUS
     return [beret, add_ball("Bobble", crown + 0.85 * radius * out, radius, _RED)]
 
 
@@ -156,27 +158,27 @@ def _add_tools(
 
     eye = _eye(skin)
     for side, spot in (("left", eye), ("right", mirrored(eye))):
-        paddle = tool(f"Paddle, {side}", "paddle", 0.0085, (0.42, 0.22, 0.09), 0.004)
-        paddle.press(spot, -0.085 * HEAD, (4, 34, 40, 52))
+        paddle = tool(f"Paddle, {side}", "paddle", 0.0110, (0.42, 0.22, 0.09), 0.004)
+        paddle.press(spot, -0.080 * HEAD, (4, 34, 40, 52))
 
     beret = pieces[[piece.name for piece in pieces].index("Beret")]
     finger = tool("Finger", "finger", 0.0095, _RUBBER, 0.0)
     hat = Skin(beret)
-    for number, angle in enumerate(np.radians((-100.0, -30.0, 50.0, 130.0, 195.0))):
+    for number, angle in enumerate(np.radians((-100.0, -40.0, 20.0, 80.0, 140.0, 200.0))):
         reach = 0.78 * HEAD
         x = beret.location.x + reach * _BERET[0] * float(np.cos(angle))
         y = beret.location.y + reach * _BERET[1] * float(np.sin(angle))
         place, out = hat.met((x, y, 1.0), (0.0, 0.0, -1.0))
-        start = 1 + 22 * number
-        finger.press((place, (out + Vector((0.0, 0.0, 1.2))).normalized()), 0.055 * HEAD,
-                     (start, start + 10, start + 12, start + 20))  # fmt: skip
+        start = 1 + 20 * number
+        finger.press((place, (out + Vector((0.0, 0.0, 1.2))).normalized()), 0.16 * HEAD,
+                     (start, start + 9, start + 11, start + 18))  # fmt: skip
 
     stylus = tool("Stylus", "ball", 0.0042, _STEEL, 0.0032)
     half = [_on(skin, place) for place in _SMILE]
     smile = half + [mirrored(spot) for spot in half[-2::-1]]
-    stylus.draw(smile, 0.045 * HEAD, 56, 5)
+    stylus.draw(smile, 0.055 * HEAD, 56, 5)
     for start, spot in ((108, _on(skin, _NOSTRIL)), (132, mirrored(_on(skin, _NOSTRIL)))):
-        stylus.press(spot, 0.035 * HEAD, (start, start + 9, start + 11, start + 20))
+        stylus.press(spot, 0.055 * HEAD, (start, start + 9, start + 11, start + 20))
 
     front = _on(skin, _EAR)
     back = skin.met((HEAD * _EAR[0], 1.0, HEAD * _EAR[1]), (0.0, -1.0, 0.0))
@@ -187,7 +189,7 @@ def _add_tools(
         one, other = (front[0], -inward), (back[0], inward)
         if side == "right":
             one, other = mirrored(one), mirrored(other)
-        hollow.press(one, 0.040 * HEAD, (60, 84, 88, 104))
+        hollow.press(one, 0.060 * HEAD, (60, 84, 88, 104))
         hold.press(other, 0.0, (56, 74, 92, 106))
 
     stamp = tool("Star", "stamp", 0.0075, (0.42, 0.22, 0.09), 0.004)
@@ -205,7 +207,8 @@ def _add_board(context: bpy.types.Context) -> None:
     top = mesh_object("Board", 0.158 * circle, [range(128)])
     top.data.materials.append(plain_material("Board", (0.50, 0.33, 0.18), 0.45))
     context.view_layer.update()
-    make_collider(top, "PLANE", 0.8)
+    make_collider(top, "PLANE", 2.0)
+    top.tactile_clay.collider_adhesion = _STICKINESS
     rings = [
         radius * circle + (0.0, 0.0, height)
         for radius, height in ((0.158, 0.0), (0.160, -0.002), (0.160, -0.012), (0.158, -0.014))

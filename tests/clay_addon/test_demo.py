@@ -139,7 +139,7 @@ def test_feature_sheet_has_the_last_on_top_and_a_full_row_below(count: int) -> N
     assert sheet.shape[1] == 301 + 4
     np.testing.assert_allclose(sheet[2:152, 2:303, 0], 0.1 * count)
     row = sheet[155, 2:303, 0] if count > 1 else np.array([])
-    shown = row[row < 0.9].round(5)
+    shown = row[row < 0.9].astype(float).round(5)
     assert list(dict.fromkeys(shown.tolist())) == [
         round(0.1 * (n + 1), 5) for n in range(count - 1)
     ]
