@@ -38,6 +38,7 @@ from .simulation import (
     frames_per_second,
     solver_device,
 )
+from .wheel import WheelError, check_speeds, sample
 
 __all__ = [
     "BakeError",
@@ -196,6 +197,8 @@ def bake_steps(
     cancelled = False
     with paused(), own_touch():
         try:
+            sample(scene)
+            check_speeds(scene)
             scene.frame_set(start)
             simulation = Simulation(context)
             device = solver_device(context, device)
@@ -225,7 +228,7 @@ def bake_steps(
                     if simulation.edited is not None:
                         _keep_colors(scene, simulation, cache)
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
-        except SimulationError as error:
+        except (SimulationError, WheelError) as error:
             raise BakeError(str(error)) from error
         except ReferenceError as error:
             raise BakeError(

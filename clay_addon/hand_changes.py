@@ -70,5 +70,5 @@ def source_digest(item: bpy.types.Object) -> str:
     _, stretch = rotation_and_stretch(np.array(rig.matrix_world, np.float64)[:3, :3])
     digest.update(places.tobytes())
     digest.update(corners.tobytes())
-    digest.update(repr((names, bones, modifiers, np.round(stretch, 4).tolist())).encode())
+    digest.update(repr((names, bones, modifiers, (np.round(stretch, 4) + 0.0).tolist())).encode())
     return digest.hexdigest()

@@ -111,6 +111,10 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box.prop(item.tactile_clay, "collider_kind")
             box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
+            box.prop(item.tactile_clay, "collider_adhesion")
+            # Decorated, as a pedal is there to be keyed.
+            box.use_property_decorate = True
+            box.prop(item.tactile_clay, "wheel_speed")
 
 
 class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
@@ -158,6 +162,9 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
             column.prop(properties, "frame_start")
             column.prop(properties, "frame_end")
         column.prop(properties, "substeps")
+        column.prop(properties, "motion_samples")
+        if hand_objects(scene):
+            column.prop(properties, "hands_give_way")
         column.prop(properties, "cache_directory")
         running = bake_operators.running
         if running is not None:

@@ -15,6 +15,11 @@ from .material_presets import (
 )
 from .user_materials import MATERIAL_VALUES
 
+FASTEST_WHEEL = 400.0
+"""Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
+in the longest step of a live session."""
+
+
 _filling = False
 
 
@@ -46,6 +51,13 @@ def _show_held(properties: Any, context: bpy.types.Context) -> None:
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
     # Values of add-ons do not reach the evaluated object by themselves.
     properties.id_data.update_tag()
+
+
+def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
+    from .wheel import refresh
+
+    _tag_object(properties, context)
+    refresh(context.scene)
 
 
 def _get_spacing(properties: Any) -> float:
@@ -162,6 +174,38 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
         default=0.5,
         min=0.0,
         soft_max=1.0,
+    )
+    collider_adhesion: bpy.props.FloatProperty(
+        name="Adhesion (Pa)",
+        description=(
+            "Stress at which clay that has touched this object comes off again [Pa]: wet clay "
+            "sticks to a wheel head with some thousand, to a dry tool with none"
+        ),
+        default=0.0,
+        min=0.0,
+        soft_max=20000.0,
+    )
+    wheel_speed: bpy.props.FloatProperty(
+        name="Wheel Speed (rpm)",
+        description=(
+            "Turns a minute about the object's own Z axis, as a potter's wheel; keyframes or a "
+            "driver work its pedal"
+        ),
+        default=0.0,
+        min=-FASTEST_WHEEL,
+        max=FASTEST_WHEEL,
+        soft_min=0.0,
+        soft_max=200.0,
+        update=_set_wheels,
+    )
+    wheel_phase: bpy.props.FloatProperty(
+        name="Wheel Phase",
+        description="How far the wheel is turned at the first frame",
+        subtype="ANGLE",
+        update=_set_wheels,
+    )
+    wheel_axle: bpy.props.PointerProperty(
+        name="Axle", description="What turns this wheel", type=bpy.types.Object, options={"HIDDEN"}
     )
 
 

@@ -33,6 +33,7 @@ from .mesh_geometry import (
     turn_for,
 )
 from .preferences import device_choice, missing_parts
+from .wheel import is_wheel
 
 if TYPE_CHECKING:
     from ..solver import MeshCollider, Scene, Solver
@@ -250,7 +251,7 @@ class Simulation:
         self.gravity = gravity * self.scale
         self._planes: list[_FlatCollider] = []
         self._meshes: list[_MovingCollider] = []
-        self._frictions: dict[str, float] = {}
+        self._surfaces: dict[str, dict[str, float]] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
         for item in _simulated(collider_objects(scene), depsgraph, live=live):
             self._add_collider(item, depsgraph, middle)
@@ -268,7 +269,15 @@ class Simulation:
             raise SimulationError(str(error)) from error
         vertices, triangles = evaluated_mesh(item, depsgraph)
         matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
-        self._frictions[item.name] = item.tactile_clay.collider_friction
+        if kind == "PLANE" and is_wheel(item):
+            raise SimulationError(
+                f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
+                "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
+            )
+        self._surfaces[item.name] = {
+            "friction": item.tactile_clay.collider_friction,
+            "adhesion": item.tactile_clay.collider_adhesion,
+        }
         if kind == "MESH":
             _, stretch = rotation_and_stretch(matrix[:3, :3])
             self._meshes.append(
@@ -291,7 +300,7 @@ class Simulation:
         return {
             **scene_digests(self.scene),
             "colliders": _digest(
-                tuple(self._frictions.values()),
+                tuple(self._surfaces.values()),
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
@@ -341,13 +350,13 @@ class Simulation:
             for (points, colors), material in zip(self._bodies(), self.materials, strict=True):
                 scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
             for plane in self._planes:
-                friction = self._frictions[plane.item.name]
+                surface = self._surfaces[plane.item.name]
                 point = plane.point * self.scale
-                scene.add_plane(point.tolist(), plane.normal.tolist(), friction=friction)
+                scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
             for part in self._meshes:
                 vertices, _ = self._state(part, depsgraph)
-                friction = self._frictions[part.item.name]
-                part.handle = scene.add_mesh(vertices, part.triangles, friction=friction)
+                surface = self._surfaces[part.item.name]
+                part.handle = scene.add_mesh(vertices, part.triangles, **surface)
                 part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)

@@ -2,6 +2,7 @@
 """Colliders on the device: where planes stand, and the way of meshes through a step."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -106,6 +107,18 @@ class _MovingMesh:
     """Whether the clay met it in the last step."""
 
 
+class Sweep(NamedTuple):
+    """How a collider moves in a step. A wheel that turns, or a plate drawn along itself, meets
+    nothing on its way."""
+
+    along: float
+    """Way of its surface along the normals [m]."""
+    across: float
+    """Way in any direction of what is where clay is [m]."""
+    turn: float
+    """Angle [rad]."""
+
+
 class MeshColliders:
     """All mesh colliders and hands of a scene.
 
@@ -206,30 +219,41 @@ class MeshColliders:
             boxes.append(box)
         return motions, boxes
 
-    def approach(self, which: int, box: NDArray[np.float64]) -> float:
-        """How far a collider's surface is going to move along its normals in this step [m].
-
-        A wheel that turns, or a plate drawn along itself, meets nothing on its way.
+    def sweep(self, which: int, box: NDArray[np.float64], clay: NDArray[np.float64]) -> Sweep:
+        """How a collider's surface is going to move in this step, where it matters.
 
         Args:
             which: The collider; `farthest_motion` comes first.
-            box: Lowest and highest corner of where it matters [m], shape [2, 3].
+            box: Lowest and highest corner of where it may meet clay [m], shape [2, 3].
+            clay: Those of where clay is now [m], shape [2, 3].
         """
         moving, end = self.moving[which], self._targets[which]
-        first = moving.shape.moved(moving.shape.vertices)
-        last = end.moved(end.vertices)
-        way = last - first
+        begin = moving.shape
+        first, last = begin.moved(begin.vertices), end.moved(end.vertices)
+        # By its velocity: from end to end the rim of a wheel would seem to cut through it.
+        turn = _rotation_vector(end.rotation @ begin.rotation.T)
+        shift = end.translation - begin.translation
+        change = (end.vertices - begin.vertices) if end.vertices is not begin.vertices else None
         faces = moving.collider.faces
         low = np.minimum(first, last)[faces].min(1)
         high = np.maximum(first, last)[faces].max(1)
         faces = faces[((low < box[1]) & (high > box[0])).all(1)]
-        farthest = 0.0
-        for corners in (first[faces], last[faces]):
+        along = across = change_across = 0.0
+        for shape, points in ((begin, first), (end, last)):
+            way = shift + np.cross(turn, points - shape.translation)
+            if change is not None:
+                change_across = _longest(change)
+                way = way + change @ shape.rotation.T
+            corners = points[faces]
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             size = np.linalg.norm(normal, axis=1)
-            along = np.abs(np.einsum("fkd,fd->fk", way[faces], normal)).max(1, initial=0.0)
-            farthest = max(farthest, float((along / np.maximum(size, 1e-30)).max(initial=0.0)))
-        return farthest
+            drive = np.abs(np.einsum("fkd,fd->fk", way[faces], normal)).max(1, initial=0.0)
+            along = max(along, float((drive / np.maximum(size, 1e-30)).max(initial=0.0)))
+            # What is rigid moves no faster anywhere in a box than at its fastest corner.
+            inside = np.clip(_corners(points), *clay)
+            slide = _longest(shift + np.cross(turn, inside - shape.translation)) + change_across
+            across = max(across, min(slide, _longest(way)))
+        return Sweep(along, across, float(np.linalg.norm(turn)))
 
     def begin_step(
         self,
@@ -401,6 +425,16 @@ def _way(start: _Shape, end: _Shape, substeps: int) -> NDArray[np.float32]:
     turn /= np.linalg.norm(turn, axis=1, keepdims=True)
     place = start.translation + (end.translation - start.translation) * fraction
     return np.concatenate([place, turn], axis=1).astype(np.float32)
+
+
+def _rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axis of a rotation matrix, as long as its angle [rad]."""
+    quaternion = _quaternion(rotation)
+    length = float(np.linalg.norm(quaternion[:3]))
+    if length < 1e-12:
+        return np.zeros(3)
+    angle = 2.0 * np.arctan2(length, abs(quaternion[3]))
+    return quaternion[:3] * (angle / length * (1.0 if quaternion[3] >= 0.0 else -1.0))
 
 
 def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -87,6 +87,9 @@ class Contacts:
         slots.recovery_speed = wp.full(
             len(self.colliders), DEPENETRATION_SPEED, dtype=float, device=device
         )
+        area = scene.spacing**2
+        pulls = [0.0 if isinstance(c, Hand) else c.adhesion * area for c in self.colliders]
+        slots.adhesion = wp.array(pulls, dtype=float, device=device)
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
         slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots

@@ -7,6 +7,10 @@ by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and N
 2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
 a collider is moved out no faster than `DEPENETRATION_SPEED`.
 
+A collider may be sticky, as a wheel head is to wet clay: what has touched it stays in contact
+until it is off by `MARGIN`, and is pulled back by as much as the adhesion bears. Friction grows with
+that as it does with a load (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 1975).
+
 A soft surface, that of a hand, gives way to what presses it, but later and by a solve of its own.
 A contact with it is a spring in a row with the clay's: its far end is where the surface would be
 without the contact's force, which is the surface of now and what it has given way so far.
@@ -26,6 +30,8 @@ CONTACT_STIFFNESS = 2.0
 """Stiffness of a contact over that of the clay around the particle."""
 SOFT_DEPTH = 1.0
 """From this depth on soft surfaces push as if they were rigid, in radii of a particle."""
+STICKING = 1.0e-3
+"""A contact that sticks counts as loaded by at least this part of its adhesion."""
 UNKNOWN_SLIDE = 1.0e9
 """The slip [m] that a new contact may assume."""
 
@@ -73,8 +79,10 @@ class ContactSlots:
     rides on a turning wheel has a velocity of the substep before, which would look like slip."""
     slide_before: wp.array2d[float]
     push: wp.array2d[float]
-    """Normal impulse that the last solve applied [N s], which limits friction."""
+    """Normal impulse that the last solve applied and adhesion's [N s], which limits friction."""
     push_before: wp.array2d[float]
+    adhesion: wp.array[float]
+    """How hard each collider pulls on a particle that sticks to it [N]."""
     recovery_speed: wp.array[float]
     """How fast each collider moves out what lies inside it [m/s]."""
     compliance: wp.array2d[wp.vec2]
@@ -130,9 +138,11 @@ def press_contacts(
             n = slots.normal[i, k]
             relative = velocity[i] * dt - slots.surface_motion[i, k]
             gap = slots.gap[i, k]
+            hold = slots.adhesion[slots.collider[i, k]] * dt
             if slots.normal_stiffness[i, k] > 0.0:
                 solved = wp.dot(change[i], n) * slots.normal_stiffness[i, k]
-                slots.push[i, k] = wp.max(wp.dot(slots.impulse[i, k], n) - solved, 0.0)
+                load = wp.dot(slots.impulse[i, k], n) - solved + hold
+                slots.push[i, k] = wp.max(load, STICKING * hold)
             speed = slots.recovery_speed[slots.collider[i, k]]
             allowed = wp.min(gap + speed * dt, 0.0)
             depth = allowed - gap - wp.dot(relative, n)
@@ -155,9 +165,12 @@ def press_contacts(
             impulse = wp.vec3()
             normal_stiffness = float(0.0)
             friction_stiffness = float(0.0)
-            if depth > 0.0:
+            if depth > 0.0 or (hold > 0.0 and slots.push[i, k] > 0.0):
                 normal_stiffness = across
                 normal_push = across * depth / dt
+                if normal_push < -hold:
+                    normal_push = -hold
+                    normal_stiffness = hold * dt / -depth
                 if beyond > 0.0 and stiffness > across:
                     normal_stiffness = stiffness
                     normal_push += (stiffness - across) * beyond / dt
@@ -250,12 +263,14 @@ def settle_contacts(
                 lean = slots.lean[i, k]
             slip = tangential(relative - lean, n) + slots.anchor[i, k]
             slip_length = wp.length(slip)
-            limit = friction[material[i], slots.collider[i, k]] * wp.max(wp.dot(applied, n), 0.0)
+            hold = slots.adhesion[slots.collider[i, k]] * dt
+            load = wp.max(wp.dot(applied, n) + hold, STICKING * hold)
+            limit = friction[material[i], slots.collider[i, k]] * load
             most = limit * dt / slots.stick_stiffness[i, k]
             held_slip = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
             slots.anchor[i, k] = held_slip + tangential(lean, n)
             slots.slide[i, k] = slip_length
-            slots.push[i, k] = wp.max(wp.dot(applied, n), 0.0)
+            slots.push[i, k] = load
         else:
             slots.anchor[i, k] = wp.vec3()
             slots.slide[i, k] = UNKNOWN_SLIDE

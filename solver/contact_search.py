@@ -204,8 +204,13 @@ def find_contacts(
                 normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
             normal = wp.transform_vector(after, normal)
             drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
-            surface_motion = wp.transform_point(after, nearest) - wp.transform_point(
-                before, nearest - drift
+            # Of what is now where the particle is: where that will be is but a guess, and clay on a
+            # wheel would creep by half the square of the angle.
+            carried = wp.transform_point(wp.transform_inverse(before), x)
+            surface_motion = (
+                wp.transform_point(after, carried)
+                - wp.transform_point(before, carried)
+                + wp.transform_vector(after, drift)
             )
             gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
             turn = wp.transform_get_rotation(after) * wp.quat_inverse(

@@ -41,6 +41,8 @@ class Plane:
     """Unit normal, shape [3]."""
     friction: float
     """Coulomb friction coefficient."""
+    adhesion: float = 0.0
+    """Stress at which clay that sticks to it comes off [Pa]."""
 
 
 class MeshCollider:
@@ -51,10 +53,15 @@ class MeshCollider:
     """
 
     def __init__(
-        self, vertices: NDArray[np.float64], faces: NDArray[np.int32], friction: float
+        self,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        friction: float,
+        adhesion: float,
     ) -> None:
         self.faces = faces
         self.friction = friction
+        self.adhesion = adhesion
         self._vertices = vertices
         self._pose = np.eye(4)
         self._enabled = True
@@ -241,6 +248,7 @@ class Scene:
         normal: Sequence[float] = (0.0, 0.0, 1.0),
         *,
         friction: float = 0.5,
+        adhesion: float = 0.0,
     ) -> Plane:
         """Add an endless plane, such as a table.
 
@@ -248,20 +256,33 @@ class Scene:
             point: A point on it [m], shape [3].
             normal: Direction of its free side, shape [3], of any length.
             friction: Coulomb friction coefficient.
+            adhesion: Stress at which clay that has touched it comes off [Pa]; the model "paper"
+                knows none.
 
         Raises:
-            ValueError: A value is not finite, the normal is zero or the friction is negative.
+            ValueError: A value is not finite, the normal is zero, or friction or adhesion is
+                negative.
         """
         direction = _finite_vector(normal, "normal")
         length = float(np.linalg.norm(direction))
         if length == 0.0:
             raise ValueError("The plane's normal is zero; give it a direction.")
-        plane = Plane(_finite_vector(point, "point"), direction / length, _friction(friction))
+        plane = Plane(
+            _finite_vector(point, "point"),
+            direction / length,
+            _friction(friction),
+            _adhesion(adhesion),
+        )
         self.planes.append(plane)
         return plane
 
     def add_mesh(
-        self, vertices: ArrayLike, faces: ArrayLike, *, friction: float = 0.5
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike,
+        *,
+        friction: float = 0.5,
+        adhesion: float = 0.0,
     ) -> MeshCollider:
         """Add a closed mesh that clay cannot enter; see `MeshCollider` for how it moves.
 
@@ -269,17 +290,24 @@ class Scene:
             vertices: Corner positions in its own coordinates [m], shape [V, 3].
             faces: Triangles, shape [F, 3].
             friction: Coulomb friction coefficient.
+            adhesion: Stress at which clay that has touched it comes off [Pa]; the model "paper"
+                knows none.
 
         Raises:
             MeshError: The mesh is open, flat or has coordinates that are not finite.
-            ValueError: The friction is negative or not finite.
+            ValueError: The friction or the adhesion is negative or not finite.
         """
         points = np.asarray(vertices, np.float64)
         triangles = np.asarray(faces, np.int32)
         check_closed_mesh(points, triangles, name="The collider")
         if mesh_volume(points, triangles) < 0.0:
             triangles = triangles[:, ::-1]
-        collider = MeshCollider(points.copy(), np.ascontiguousarray(triangles), _friction(friction))
+        collider = MeshCollider(
+            points.copy(),
+            np.ascontiguousarray(triangles),
+            _friction(friction),
+            _adhesion(adhesion),
+        )
         self.meshes.append(collider)
         return collider
 
@@ -361,6 +389,12 @@ def _finite_vector(value: Sequence[float] | ArrayLike, name: str) -> NDArray[np.
 def _friction(value: float) -> float:
     if not (np.isfinite(value) and value >= 0):
         raise ValueError(f"The friction is {value!r}; it must be a number of at least 0.")
+    return float(value)
+
+
+def _adhesion(value: float) -> float:
+    if not (np.isfinite(value) and value >= 0):
+        raise ValueError(f"The adhesion is {value!r} Pa; it must be a number of at least 0.")
     return float(value)
 
 

@@ -27,7 +27,10 @@ CLAY_STRIDE = 0.5
 COLLIDER_STRIDE = 0.25
 """A collider moves this far along its normals in a substep at most, in spacings: half a radius."""
 COLLIDER_SLIDE = 1.0
-"""A collider moves this far along itself in a substep at most, in spacings."""
+"""A collider moves this far along itself in a substep at most, in spacings, where clay is."""
+COLLIDER_TURN = 0.05
+"""A collider that moves much turns by this in a substep at most [rad]: velocities of clay that it
+carries round are then within two thousandths."""
 FAMILIAR = 1.5
 """Up to this many times as many substeps as needed are taken where as many were before."""
 SWEEP_LIMIT = 32
@@ -213,15 +216,20 @@ class Solver:
         # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
         low, high = self._regions.box + np.array([[-reach], [reach]])
+        touched = self._regions.box + np.array([[-1.0], [1.0]]) * self.scene.spacing
         near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = []
         for which, motion in enumerate(motions):
+            if near[which] and which < len(self.scene.meshes) and motion > stride * substeps:
+                sweep = meshes.sweep(which, np.stack([low, high]), touched)
+                # A large wheel does not jump, however fast it is.
+                teleported[which] = sweep.along > most * stride
+                slide = sweep.across * COLLIDER_STRIDE / COLLIDER_SLIDE
+                turn = sweep.turn * stride / COLLIDER_TURN
+                motion = max(sweep.along, min(max(slide, turn), most * stride))
             if near[which] and not teleported[which]:
-                if which < len(self.scene.meshes) and motion > stride * substeps:
-                    approach = meshes.approach(which, np.stack([low, high]))
-                    motion = max(approach, motion * COLLIDER_STRIDE / COLLIDER_SLIDE)
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))

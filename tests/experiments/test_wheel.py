@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The potter's wheel: what it carries, what it throws off, and when a disc flows."""
 
+import math
+
 import pytest
 
-from tactile_clay.tests.experiments.wheel import spin_disc, turn_wheel
+from tactile_clay.tests.experiments.wheel import hang, spin_disc, turn_lump, turn_wheel
 
 
 @pytest.mark.parametrize("rpm", [100.0, 300.0])
@@ -23,6 +25,49 @@ def test_friction_limits_the_radius_that_a_wheel_carries(offset: float, carried:
     assert (result.grip > 1.0) == carried
     assert (result.slip < 1e-3) == carried
     assert (result.slip > 0.02) == (not carried)
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.8])
+def test_friction_decides_what_is_thrown_off(friction: float):
+    """Hold a block at 0.97 times the radius μ g / ω² and lose it at 1.03 times, for two μ."""
+    limit = friction * 9.81 / (100.0 * 2 * math.pi / 60) ** 2
+    held = turn_wheel(offset=0.97 * limit, counts=(4, 4, 2), turns=1.0, friction=friction)
+    lost = turn_wheel(offset=1.03 * limit, counts=(4, 4, 2), turns=1.0, friction=friction)
+    assert held.slip < 1e-5
+    assert lost.slip > 5e-3
+
+
+def test_lump_of_the_paper_goes_round_at_100_rpm():
+    """Keep 4,169 particles where they are on the wheel, with one substep more than at rest."""
+    result = turn_lump(100.0)
+    assert result.particle_count == 4169
+    assert result.angle_error < 1e-6
+    assert result.momentum_ratio == pytest.approx(1.0, abs=0.001)
+    assert result.radius_ratio == pytest.approx(1.0, abs=5e-4)
+    assert (result.substeps, result.jumps) == (5, 0)
+
+
+def test_wheel_turns_through_a_long_step():
+    """Carry clay through 120 degrees in one step, as a slow live session may ask for."""
+    result = turn_lump(300.0, particle_count=400, step=4 / 60)
+    assert result.angle_error < 1e-6
+    assert result.momentum_ratio == pytest.approx(1.0, abs=0.001)
+    assert result.jumps == 0
+
+
+def test_substeps_do_not_grow_with_the_wheel():
+    """Take as many substeps on a wheel three times as large."""
+    small = turn_lump(100.0, particle_count=400, turns=0.1)
+    large = turn_lump(100.0, particle_count=400, turns=0.1, wheel_radius=0.39)
+    assert small.substeps == large.substeps
+    assert large.jumps == 0
+
+
+@pytest.mark.parametrize(("adhesion", "holds"), [(0.0, False), (250.0, False), (600.0, True)])
+def test_clay_sticks_to_what_is_adhesive(adhesion: float, holds: bool):
+    """Hold a block upside down that weighs ρ g h = 334 Pa, and let it fall where that is more."""
+    fallen = hang(adhesion)
+    assert fallen < 0.01 if holds else fallen > 0.1
 
 
 def test_disc_holds_below_the_plastic_limit():

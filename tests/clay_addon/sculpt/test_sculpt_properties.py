@@ -129,6 +129,7 @@ def running_at(factor: float, *, started: bool = True, compiling: float = 0.0) -
         factor=factor,
         pace=SimpleNamespace(started=started),
         messages=["Something to say"],
+        wheels=None,
         compiling_seconds=compiling,
     )
 
