@@ -162,6 +162,9 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
             column.prop(properties, "frame_start")
             column.prop(properties, "frame_end")
         column.prop(properties, "substeps")
+        column.prop(properties, "motion_samples")
+        if hand_objects(scene):
+            column.prop(properties, "hands_give_way")
         column.prop(properties, "cache_directory")
         running = bake_operators.running
         if running is not None:

@@ -16,6 +16,8 @@ from .session_checks import SculptError
 
 _TICK_SECONDS = 1.0 / 120.0
 """Twice the rate of steps, so that the solver hardly waits for the next tick."""
+_PEDAL = {"PAGE_UP": 10.0, "PAGE_DOWN": -10.0}
+"""Keys that make a potter's wheel faster and slower [rpm]."""
 _COMPILING_AFTER = 0.5
 """Getting ready for longer than this [s] means that kernels are being compiled."""
 
@@ -74,6 +76,9 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 return {"PASS_THROUGH"}
             if brush.handle(context, event, running.positions):
                 redraw(context)
+                return {"RUNNING_MODAL"}
+            if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
+                running.wheels.press_pedal(context.scene, _PEDAL[event.type])
                 return {"RUNNING_MODAL"}
             if event.type == "ESC" and event.value == "PRESS":
                 return self._end(context)
@@ -174,7 +179,8 @@ def status_text(running: SculptSession, brush: Brush) -> str:
         )
     factor = round(10.0 * running.factor)
     pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
-    return f"Sculpting{pace}   {brush.status_text()}"
+    pedal = "   Page Up, Page Down: wheel faster, slower" if running.wheels else ""
+    return f"Sculpting{pace}   {brush.status_text()}{pedal}"
 
 
 def redraw(context: bpy.types.Context) -> None:

@@ -127,7 +127,6 @@ class SceneSource:
             mirror_frame=mirror_frame(clay, scale),
             color=(*properties.color, 1.0),
             spacing=clay[0].tactile_clay.spacing * scale if clay else self._last.spacing,
-            down=_down(scene),
             scale=scale,
             stamp=stamp,
             stamp_key=key,
@@ -191,15 +190,6 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     frame[:3, :3] = axes
     frame[:3, 3] = matrix[:3, 3] * scale
     return frame
-
-
-def _down(scene: bpy.types.Scene) -> tuple[float, float, float]:
-    gravity = np.array(scene.gravity, np.float64)
-    size = float(np.linalg.norm(gravity))
-    if not scene.use_gravity or size < 1e-6:
-        return (0.0, 0.0, -1.0)
-    x, y, z = gravity / size
-    return (float(x), float(y), float(z))
 
 
 _held: dict[str, dict[str, Any]] = {}

@@ -27,19 +27,17 @@ def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> No
 
 
 def test_a_scene_is_read_as_it_is_now(studio: Any) -> None:
-    """Take up tool, strength, mirrors, colour, gravity and the clay's spacing and place."""
+    """Take up tool, strength, mirrors, colour and the clay's spacing and place."""
     clay = studio.clay(location=(0.1, 0.2, 0.3))
     brush = studio.scene.tactile_clay_sculpt
     brush.tool, brush.strength, brush.mirror_y = "KNIFE", 0.25, True
     brush.color = (0.1, 0.2, 0.3)
-    studio.scene.gravity = (0.0, 3.0, 0.0)
     settings = SceneSource(studio.scene).read()
     assert settings.tool.identifier == "KNIFE"
     assert settings.strength == 0.25
     assert settings.mirror == (False, True, False)
     assert settings.color == pytest.approx((0.1, 0.2, 0.3, 1.0))
     assert settings.spacing == pytest.approx(0.01)
-    assert settings.down == pytest.approx((0.0, 1.0, 0.0))
     assert np.allclose(settings.mirror_frame[:3, 3], clay.matrix_world.translation)
 
 
@@ -131,6 +129,7 @@ def running_at(factor: float, *, started: bool = True, compiling: float = 0.0) -
         factor=factor,
         pace=SimpleNamespace(started=started),
         messages=["Something to say"],
+        wheels=None,
         compiling_seconds=compiling,
     )
 

@@ -250,6 +250,38 @@ def test_units_other_than_metres_are_honoured(studio: Any) -> None:
     assert points[:, 2].min() > 0.3
 
 
+def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
+    """Turn clay with a wheel by the clock, faster when the pedal is pressed, and let it stand."""
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.06, depth=0.02, location=(0.0, 0.0, -0.01))
+    wheel = bpy.context.object
+    assert bpy.ops.clay.collider_add() == {"FINISHED"}
+    wheel.tactile_clay.wheel_speed = 30.0
+    clay = studio.clay(location=(0.0, 0.0, 0.02))
+    finger, clock = Finger(), Clock()
+    work = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+
+    def direction() -> float:
+        far = studio.points(clay)[0]
+        return float(np.arctan2(far[1], far[0]))
+
+    first = direction()
+    work.run(0.5)
+    # A quarter of a turn, less what it slips while it takes the clay along.
+    turned = np.degrees((direction() - first) % (2.0 * np.pi))
+    assert 70.0 < turned < 95.0
+    work.session.wheels.press_pedal(studio.scene, 30.0)
+    before = direction()
+    work.run(0.25)
+    assert 75.0 < np.degrees((direction() - before) % (2.0 * np.pi)) < 100.0
+    work.session.finish(bpy.context)
+    # The wheel stands as it was left, and goes on by the timeline from there.
+    assert wheel.tactile_clay.wheel_speed == 60.0
+    stands = np.degrees(np.arctan2(wheel.matrix_world[1][0], wheel.matrix_world[0][0])) % 360.0
+    bpy.context.view_layer.update()
+    again = np.degrees(np.arctan2(wheel.matrix_world[1][0], wheel.matrix_world[0][0])) % 360.0
+    assert again == pytest.approx(stands, abs=1.0)
+
+
 def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_path: Path) -> None:
     """Leave no autosave, no paused playback and no session."""
     sculpting.run(0.1)
