@@ -61,6 +61,7 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Export, or report why not."""
         from .playback import message
+        from .poses import plays_itself
         from .simulation import clay_objects
 
         clay = clay_objects(context.scene)
@@ -69,7 +70,9 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
             if not clay:
                 self.report({"ERROR"}, "No clay is selected.")
                 return {"CANCELLED"}
-        if message(context.scene):
+        frame = context.scene.frame_current
+        itself = all(plays_itself(item, frame) for item in clay)
+        if message(context.scene) and not itself:
             self.report({"WARNING"}, message(context.scene))
         window = None if bpy.app.background else context.window
         if window:

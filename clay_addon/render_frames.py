@@ -20,9 +20,8 @@ import bpy
 
 from .cache_files import replace_file
 from .delivery_object import delivered_object
-from .pack import is_packed
 from .playback import cache_of, message
-from .poses import pose_at
+from .poses import plays_itself
 from .properties import held_frame
 from .simulation import clay_objects
 
@@ -142,8 +141,7 @@ def _shows_bake(scene: bpy.types.Scene, frame: int) -> bool:
     """Whether any clay is seen as it was baked: not delivered, packed, or keyed as a pose."""
     if delivered_object(scene) is not None:
         return False
-    clay = clay_objects(scene)
-    return any(not is_packed(item) and pose_at(item, frame) is None for item in clay)
+    return not all(plays_itself(item, frame) for item in clay_objects(scene))
 
 
 def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) -> None:
