@@ -8,6 +8,7 @@ from bpy.app.handlers import persistent
 
 from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
+from ..look import show_colors
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
@@ -55,6 +56,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         except SculptError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        show_colors()
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK_SECONDS, window=context.window)
         manager.modal_handler_add(self)

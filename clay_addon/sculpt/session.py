@@ -363,7 +363,7 @@ class SculptSession:
             state: A state of the solver to take up, where that still fits.
             goes_on: Whether this is what comes next, and not what was before.
         """
-        before = [part.name for part in self.simulation.parts] if self._structure else []
+        before = self.simulation if self._structure else None
         self._structure = structure(context.scene)
         self._tool_key = self.tools.mesh_key
         self.simulation = simulation = Simulation(context, live=True)
@@ -373,12 +373,15 @@ class SculptSession:
             collider = prepared.add_mesh(mesh.vertices, mesh.faces, friction=mesh.friction)
             collider.set_enabled(False)
             self._colliders.append(collider)
+        carried = None
+        if state is None and goes_on and before is not None:
+            carried = self._carried(before, simulation)
         self.positions = self._kept = np.concatenate(simulation.rest)
 
         if goes_on:
             self._take.rebuilt(simulation, self.tools.meshes())
         if self._surface is not None:
-            if before != [part.name for part in simulation.parts]:
+            if before is None or before.parts != simulation.parts:
                 self._close_surface()
             else:
                 self._offer_surface(context.scene)
@@ -391,12 +394,34 @@ class SculptSession:
             simulation.build(prepared, self._device)
             assert simulation.solver is not None
             if state is not None:
-                # If colliders came or went since, the clay is where it was, but at rest.
-                with suppress(KeyError, ValueError):
+                try:
                     simulation.restore(state)
+                except (KeyError, ValueError):
+                    # Colliders came or went since.
+                    with suppress(ValueError):
+                        simulation.solver.restore_clay(state)
+            elif carried is not None:
+                with suppress(ValueError):
+                    simulation.solver.restore_clay(carried)
             return step(simulation.solver, 0.0, (), ())
 
         self._worker.begin(build)
+
+    def _carried(self, before: Simulation, after: Simulation) -> dict[str, NDArray] | None:
+        """The solver's state where the clay is the same, and only what works it is not.
+
+        Cuts stay open and clay stays tense when another tool is taken. A solver that is built from
+        points alone bonds whatever lies close.
+        """
+        if before.solver is None or self._worker.busy:
+            return None
+        clay = [(each.parts, each.materials, each.spacing, each.scale) for each in (before, after)]
+        if clay[0] != clay[1]:
+            return None
+        rest = np.concatenate(after.rest)
+        if float(np.abs(rest - self.positions).max(initial=0.0)) > 0.01 * after.spacing:
+            return None
+        return before.solver.snapshot()
 
     # The surface --------------------------------------------------------------------------------
 

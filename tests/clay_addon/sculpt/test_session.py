@@ -250,6 +250,23 @@ def test_units_other_than_metres_are_honoured(studio: Any) -> None:
     assert points[:, 2].min() > 0.3
 
 
+def test_another_tool_leaves_the_clay_as_tense_as_it_is(studio: Any, sculpting: Sculpting) -> None:
+    """Keep bonds, speeds and all that the solver knows of the clay when a tool is changed."""
+    sculpting.run(0.2)
+    sculpting.finger.enabled = sculpting.finger.stroking = True
+    sculpting.finger.height = 0.046
+    sculpting.run(0.1)
+    session = sculpting.session
+    before = session.simulation.snapshot()
+    sculpting.finger.mesh_key = "another"
+    session.tick(bpy.context)
+    session.wait()
+    after = session.simulation.snapshot()
+    np.testing.assert_array_equal(before["neighbor_rest_length"], after["neighbor_rest_length"])
+    np.testing.assert_array_equal(before["velocity"], after["velocity"])
+    np.testing.assert_array_equal(before["position"], after["position"])
+
+
 def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
     """Turn clay with a wheel by the clock, faster when the pedal is pressed, and let it stand."""
     bpy.ops.mesh.primitive_cylinder_add(radius=0.06, depth=0.02, location=(0.0, 0.0, -0.01))
