@@ -19,7 +19,7 @@ def solver(*, tool: bool = False, count: int = 6, apart: float = 0.0) -> Solver:
     scene.add_clay(points, Material.preset("plasticine"))
     if tool:
         ball = trimesh.creation.icosphere(1, 0.01)
-        scene.add_mesh(ball.vertices + [0.0, 0.0, 0.2], ball.faces)
+        scene.add_mesh(ball.vertices + np.array((0.0, 0.0, 0.2)), ball.faces)
     return Solver(scene, device="cpu")
 
 
