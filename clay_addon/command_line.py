@@ -19,6 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from .demo_scenes import DEFAULT, SCENES
 from .tracking.command import add_command as add_track
 
 if TYPE_CHECKING:
@@ -262,16 +263,14 @@ def _parser(program: str, *, names_file: bool) -> argparse.ArgumentParser:
         server = add("array-server", "drive an ultrasound array with focal points", _array_server)
         add_server_arguments(server)
 
-    demo = add("demo", "make and render a scene with clay and hands", _demo)
+    demo = add("demo", "make and render a scene of the gallery", _demo)
     demo.add_argument(
         "--scene",
-        choices=("kindergarten", "wheel"),
-        default="kindergarten",
-        help="blocks and figures on a table, or a pot on a wheel (default: kindergarten)",
+        choices=list(SCENES),
+        default=DEFAULT,
+        help="; ".join(f"{name}: {scene.what}" for name, scene in SCENES.items()),
     )
-    demo.add_argument(
-        "--output", type=Path, metavar="DIR", default=Path("build/demo"), help="where it goes"
-    )
+    demo.add_argument("--output", type=Path, metavar="DIR", help="where it goes")
     add_track(commands, carry_out=_track)
     return parser
 
@@ -380,6 +379,8 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from .export import ExportError, check_target, export_clay
     from .playback import message, shown_frame
+    from .poses import plays_itself
+    from .simulation import clay_objects
     from .surface import SurfaceError
 
     if arguments.cache is not None:
@@ -389,9 +390,10 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
         check_target(arguments.output, unit=arguments.unit)
         with context.temp_override(scene=scene):
             scene.frame_set(frame)
-            if message(scene):
+            itself = all(plays_itself(item, frame) for item in clay_objects(scene))
+            if message(scene) and not itself:
                 raise _CommandError(message(scene), EXIT_STALE)
-            shown = shown_frame(scene)
+            shown = frame if itself else shown_frame(scene)
             if shown is None and arguments.cache is not None:
                 raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
             table = export_clay(
@@ -514,7 +516,10 @@ def _demo(arguments: argparse.Namespace) -> _Outcome:
     _need_bpy()
     from . import demo
 
-    return demo.main(["--scene", arguments.scene, "--output", str(arguments.output)]), ""
+    words = ["--scene", arguments.scene]
+    if arguments.output is not None:
+        words += ["--output", str(arguments.output)]
+    return demo.main(words), ""
 
 
 def _track(arguments: argparse.Namespace) -> _Outcome:

@@ -32,6 +32,8 @@ from .scene_stage import (
     set_render,
 )
 
+FRAME_COUNT = int(scene_preset("incline")["frames"])
+
 _BOARD = ((-0.16, -0.30), (0.50, 0.30))
 """Corners of the board along and across the slope [m]; to the clay it has no end."""
 
@@ -70,7 +72,7 @@ def build(
     friction = data["friction"] if friction is None else friction
     spacing = data["spacing"] if spacing is None else spacing
     scene.name = "Incline"
-    set_clock_and_units(scene, data["frames"])
+    set_clock_and_units(scene, FRAME_COUNT)
     board = _add_board(context, angle, friction)
     base = replace(Material(**data["material"]), friction=friction)
     size = data["size"]

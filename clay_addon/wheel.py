@@ -76,6 +76,10 @@ def refresh(scene: bpy.types.Scene) -> None:
             _take_off(item)
         elif not is_driven(item):
             axle = _axle(item, taken)
+            # As a live session has left it in a file that was saved meanwhile.
+            curve = _angle_curve(axle)
+            if curve is not None and curve.mute:
+                curve.mute = False
             stamp = _stamp(item, start, low, high, duration)
             if axle.get(_STAMP) != stamp:
                 _write(item, axle, turns(item, low, high, duration), start, low)
@@ -268,6 +272,10 @@ class LiveWheels:
         self._uid = scene.session_uid
         _live.add(self._uid)
         self._angles = {item.name: axle_angle(item) for item in wheel_objects(scene)}
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self._angles)
 
     def advance(self, scene: bpy.types.Scene, duration: float) -> None:
         """Turn each wheel on, by what its speed is now.

@@ -32,6 +32,7 @@ from ..simulation import (
     read_points,
     solver_device,
 )
+from ..wheel import LiveWheels
 from .autosave import Autosave
 from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
@@ -110,6 +111,7 @@ class SculptSession:
             self._worker.close()
             raise SculptError(str(error)) from error
         self.autosave = Autosave()
+        self.wheels = LiveWheels(context.scene)
         self._touch = LiveTouch()
         self._closing.enter_context(paused())
         self._closing.enter_context(own_touch())
@@ -213,6 +215,7 @@ class SculptSession:
 
     def _begin_step(self, context: bpy.types.Context, duration: float) -> None:
         with self.budget.measured("feed"):
+            self.wheels.advance(context.scene, duration)
             try:
                 self.simulation.follow(context.evaluated_depsgraph_get())
             except SimulationError:
@@ -336,6 +339,8 @@ class SculptSession:
     def _take_back(self, context: bpy.types.Context) -> None:
         scene = context.scene
         self._taken_back = self._changed = False
+        # They stand as they did then, and so does the clay on them.
+        self.wheels = LiveWheels(scene)
         self._begin_build(context, state=self.undo.state(scene), goes_on=False)
         self._take.rewind(self.undo.mark(scene), self.simulation)
 
@@ -429,6 +434,7 @@ class SculptSession:
                 if scene is not None:
                     # What is kept is the clay itself, and not what stands for it.
                     self._close_surface()
+                    self.wheels.end(scene)
                     stepped = None
                     # What went wrong in the last step is told by `tick`.
                     with suppress(Exception):

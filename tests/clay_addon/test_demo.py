@@ -12,7 +12,7 @@ import trimesh
 
 bpy = pytest.importorskip("bpy")
 
-from tactile_clay.clay_addon import demo  # noqa: E402
+from tactile_clay.clay_addon import demo, demo_picture, demo_scenes  # noqa: E402
 
 DEMO = """
 import os, sys
@@ -120,25 +120,75 @@ def test_blend_plays_without_the_extension(
 def test_sheet_puts_panels_in_reading_order() -> None:
     """Put the first picture at the top left and the last at the bottom right."""
     panels = [np.full((30, 40, 4), value, np.float32) for value in (0.1, 0.2, 0.3, 0.4)]
-    sheet = demo._side_by_side(panels)
+    sheet = demo_picture.pairs_sheet(panels)
     assert sheet.shape == (66, 86, 4)
     corners = sheet[[3, 3, -4, -4], [3, -4, 3, -4], 0]
     np.testing.assert_allclose(corners, (0.1, 0.2, 0.3, 0.4))
     assert sheet[0, 0, 0] > 0.9
 
 
-def test_moments_begin_with_the_untouched_clay_and_end_with_the_last_frame() -> None:
-    """Show frames in order, the last one included."""
-    moments = demo._moments("kindergarten", 120)
-    assert moments == sorted(set(moments)) and moments[-1] == 120
-    assert min(demo._moments("wheel", 2)) >= 1
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
+def test_feature_sheet_has_the_last_on_top_and_a_full_row_below(count: int) -> None:
+    """Show the last picture large, and let the others fill the row below it in their order."""
+    widths = demo_picture.feature_widths(count, 301)
+    panels = [
+        np.full((round(0.5 * width), width, 4), 0.1 * (index + 1), np.float32)
+        for index, width in enumerate(widths)
+    ]
+    sheet = demo_picture.feature_sheet(panels)
+    assert sheet.shape[1] == 301 + 4
+    np.testing.assert_allclose(sheet[2:152, 2:303, 0], 0.1 * count)
+    row = sheet[155, 2:303, 0] if count > 1 else np.array([])
+    shown = row[row < 0.9].astype(float).round(5)
+    assert list(dict.fromkeys(shown.tolist())) == [
+        round(0.1 * (n + 1), 5) for n in range(count - 1)
+    ]
+    assert len(row) - len(shown) == 2 * max(0, count - 2)
+
+
+@pytest.mark.parametrize("name", demo_scenes.SCENES)
+def test_moments_are_in_order_and_end_with_the_last_frame(name: str) -> None:
+    """Show frames of the film in order, the last one included, of however short a film."""
+    scene = demo_scenes.SCENES[name]
+    moments = demo._moments(scene.moments, 78)
+    assert moments == sorted(set(moments)) and moments[-1] == 78
+    assert min(demo._moments(scene.moments, 2)) >= 1
+    assert scene.layout in ("pairs", "feature")
+
+
+@pytest.mark.parametrize("name", demo_scenes.SCENES)
+def test_every_scene_goes_into_a_folder_of_its_own(name: str) -> None:
+    """Let no scene overwrite another's files where nobody says where they go."""
+    others = {demo.default_output(other) for other in demo_scenes.SCENES if other != name}
+    assert demo.default_output(name) not in others
 
 
 @pytest.mark.parametrize("words", [["--frames", "1"], ["--frames", "999"], ["--width", "2"]])
-def test_wrong_words_are_refused(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("name", ["kindergarten", "incline"])
+def test_wrong_words_are_refused(
+    words: list[str], name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Return 2 and say what is allowed."""
-    assert demo.main(words) == 2
+    assert demo.main(["--scene", name, *words]) == 2
     assert "must be" in capsys.readouterr().err
+
+
+def test_unknown_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    """Return 2 and list the scenes that there are."""
+    assert demo.main(["--scene", "moon"]) == 2
+    said = capsys.readouterr().err
+    assert all(name in said for name in ("moon", *demo_scenes.SCENES))
+
+
+def test_incline_is_made_too(tmp_path: Path) -> None:
+    """Make a scene of several clays with a large picture, named after the scene."""
+    words = ("--scene", "incline", "--frames", "2", "--width", "64", "--samples", "1")
+    result = run(DEMO, *words, "--output", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert (report["scene"], report["particles"], report["frames"]) == ("incline", 4 * 480, 2)
+    for suffix in (".blend", ".stl", ".ply", ".glb", ".png"):
+        assert (tmp_path / f"incline{suffix}").stat().st_size > 1000
 
 
 def test_output_that_cannot_be_written_is_said(

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The character scene: pieces that stick, and tools that begin and end off the clay."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from mathutils import Vector  # noqa: E402
+
+from tactile_clay.clay_addon import character_scene, register, unregister  # noqa: E402
+from tactile_clay.clay_addon.character_parts import Skin  # noqa: E402
+from tactile_clay.clay_addon.character_tools import mirrored  # noqa: E402
+from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
+from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
+from tactile_clay.clay_addon.simulation import (  # noqa: E402
+    clay_colors,
+    clay_positions,
+    collider_objects,
+)
+from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
+
+SPACING = character_scene.SPACING
+
+
+@pytest.fixture(scope="module")
+def scene() -> Iterator[character_scene.Character]:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    register()
+    yield add_scene(bpy.context, "Character", character_scene.build)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    unregister()
+
+
+def tool_points(scene: character_scene.Character, frame: int) -> list[np.ndarray]:
+    """Vertices of the tools at a frame [m]."""
+    bpy.context.scene.frame_set(frame)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return [
+        transform(tool.evaluated_get(depsgraph).matrix_world, evaluated_mesh(tool, depsgraph)[0])
+        for tool in scene.tools
+    ]
+
+
+def test_there_is_enough_clay_for_detail(scene: character_scene.Character) -> None:
+    """Hold 12,000 to 30,000 particles in six colours."""
+    assert 12_000 < len(scene.clay.data.points) < 30_000
+    assert len(np.unique(clay_colors(scene.clay), axis=0)) == 6
+
+
+def test_pellets_stick_to_the_bust_and_the_rest_lies_beside_it(
+    scene: character_scene.Character,
+) -> None:
+    """Begin with one piece of bust, pellets and beret, and with what is left over on the board."""
+    points = clay_positions(scene.clay)
+    bust, *others = sorted(pieces(points, SPACING), key=len, reverse=True)
+    assert len(others) == 3
+    assert len(bust) > 0.97 * len(points)
+    assert all(points[other, 2].min() < 1.5 * SPACING for other in others)
+    assert points[:, 2].min() > 0.0
+
+
+def test_every_tool_works_and_is_out_of_the_way_in_the_end(
+    scene: character_scene.Character,
+) -> None:
+    """Come within a spacing of the clay once at least, and be far off at the first and last."""
+    points = clay_positions(scene.clay)[::7]
+    nearest = np.full(len(scene.tools), np.inf)
+    for frame in (1, *range(4, character_scene.FRAME_COUNT, 4), character_scene.FRAME_COUNT):
+        for index, vertices in enumerate(tool_points(scene, frame)):
+            way = np.linalg.norm(vertices[::5, None] - points[None], axis=2).min()
+            nearest[index] = min(nearest[index], way)
+            if frame in (1, character_scene.FRAME_COUNT):
+                assert way > 3.0 * SPACING, scene.tools[index].name
+            assert vertices[:, 2].min() > 0.0
+    bpy.context.scene.frame_set(1)
+    assert nearest.max() < 2.0 * SPACING
+    assert {item.name for item in collider_objects(bpy.context.scene)} == {
+        "Board",
+        *(tool.name for tool in scene.tools),
+    }
+
+
+def test_skin_is_met_from_outside_or_said_to_be_missed(scene: character_scene.Character) -> None:
+    """Find the face in front with a normal that looks out of it, and refuse a miss."""
+    skin = Skin(scene.pieces[0])
+    place, out = skin.front(0.0, 0.5 * skin.high[2])
+    assert place.y == pytest.approx(skin.low[1], abs=0.06) and out.y < -0.3
+    with pytest.raises(ValueError, match="Nothing is met"):
+        skin.front(1.0, 0.1)
+
+
+def test_mirroring_twice_changes_nothing() -> None:
+    """Move a spot to the other side and back."""
+    spot = Vector((0.1, 0.2, 0.3)), Vector((0.6, -0.8, 0.0))
+    assert mirrored(spot)[0].x == pytest.approx(-0.1)
+    assert mirrored(mirrored(spot)) == spot
