@@ -32,7 +32,7 @@ from ..simulation import (
     read_points,
     solver_device,
 )
-from ..wheel import LiveWheels
+from ..wheel_live import LiveWheels
 from .autosave import Autosave
 from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
