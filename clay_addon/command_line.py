@@ -377,10 +377,10 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
 
 def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
+    from .clay_scene import clay_objects
     from .export import ExportError, check_target, export_clay
     from .playback import message, shown_frame
     from .poses import plays_itself
-    from .simulation import clay_objects
     from .surface import SurfaceError
 
     if arguments.cache is not None:

@@ -6,9 +6,8 @@ Blender's units are turned into metres here, and back, and nowhere else.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -16,10 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError
-from ..solver.material import Material
 from ..solver.polar import rotation_and_stretch
-from ..solver.settings import Settings
 from .cache import ClaySlice
+from .clay_scene import (
+    SimulationError,
+    checked_material,
+    clay_colors,
+    clay_objects,
+    clay_positions,
+    collider_objects,
+    frames_per_second,
+    is_enabled,
+    solver_settings,
+)
 from .collider import TAKE_TOOL, ColliderError, resolve_kind
 from .hand import hand_objects
 from .hand_motion import HandState, MovingHand
@@ -32,7 +40,7 @@ from .mesh_geometry import (
     transform,
     turn_for,
 )
-from .preferences import device_choice, missing_parts
+from .scene_digest import digest_of, scene_digests
 from .wheel import is_wheel
 
 if TYPE_CHECKING:
@@ -170,12 +178,12 @@ class Simulation:
         """A digest for each subject that decides the result, to tell which one has changed."""
         return {
             **scene_digests(self.scene),
-            "colliders": digest(
+            "colliders": digest_of(
                 tuple(self._surfaces.values()),
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
-            "hands": digest(*(hand.digest_parts() for hand in self.hands)),
+            "hands": digest_of(*(hand.digest_parts() for hand in self.hands)),
         }
 
     def moving_parts(self) -> str:
@@ -265,7 +273,7 @@ class Simulation:
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
         """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
-        return bytes.fromhex(digest(*self.follow(depsgraph)))
+        return bytes.fromhex(digest_of(*self.follow(depsgraph)))
 
     def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
         """Tell the solver, if it runs, where colliders and hands are at the current frame.
@@ -331,7 +339,7 @@ class Simulation:
             if steps:
                 self.step(1.0 / count)
                 self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
-        return done[0] if count == 1 else bytes.fromhex(digest(*done))
+        return done[0] if count == 1 else bytes.fromhex(digest_of(*done))
 
     def _edit(self, after: float, until: float) -> None:
         """Carry out the edits between two moments [frames]."""
@@ -511,5 +519,3 @@ def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
                 "ones again."
             )
     return first
-
-
