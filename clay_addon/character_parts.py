@@ -35,10 +35,13 @@ def add_bust(color: Vec3) -> bpy.types.Object:
     bpy.ops.mesh.primitive_monkey_add(size=1.0)
     head = bpy.context.object
     head.data.transform(_TILT)
+    smooth = head.modifiers.new("Smooth", "SUBSURF")
+    smooth.levels = 2
     # Ears must be several particles thick: make her chubby.
     plump = head.modifiers.new("Chubby", "DISPLACE")
-    plump.strength, plump.mid_level = 0.035, 0.0
-    bpy.ops.object.modifier_apply(modifier=plump.name)
+    plump.strength, plump.mid_level = 0.045, 0.0
+    for modifier in (smooth, plump):
+        bpy.ops.object.modifier_apply(modifier=modifier.name)
     items.append(head)
     for _, center, radii in _BODY:
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=1.0)

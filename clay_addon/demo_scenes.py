@@ -20,7 +20,7 @@ class DemoScene:
     what: str
     """What is to be seen, in a few words."""
     moments: tuple[float, ...]
-    """Shares of the film at which it is shown, the last one 1."""
+    """Shares of the film at which it is shown."""
     layout: str
     """``pairs``: pictures of one size, two a row; ``feature``: the last one large."""
     width: int
@@ -59,7 +59,8 @@ SCENES = {
     "incline": DemoScene(
         module="incline_scene",
         what="four blocks fall on a slope, each lacking something else",
-        moments=(0.1, 0.35, 0.55, 1.0),
+        # They fall, hit the slope, and are there together before one is out of sight.
+        moments=(0.09, 0.15, 0.22, 0.42),
         layout="feature",
         width=960,
         samples=32,
