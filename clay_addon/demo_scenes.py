@@ -60,7 +60,7 @@ SCENES = {
         module="incline_scene",
         what="four blocks fall on a slope, each lacking something else",
         # They fall, hit the slope, and are there together before one is out of sight.
-        moments=(0.09, 0.15, 0.22, 0.42),
+        moments=(0.08, 0.13, 0.18, 0.26),
         layout="feature",
         width=960,
         samples=32,

@@ -94,7 +94,7 @@ def build(
     ):
         add_area_light(context, name, place, energy, light_size, (1.0, 0.94, 0.86))
     add_room_light(context, 0.2)
-    add_camera(context, (0.52, -0.10, 0.37), (0.035, 0.0, 0.0), lens=44.0)
+    add_camera(context, (0.56, -0.05, 0.36), (0.050, 0.0, -0.010), lens=44.0)
     set_render(scene, 1080, 640)
     look_through_camera(context)
     for block in blocks[1:]:
