@@ -3,7 +3,7 @@
 
 She is blocked out without eyes, mouth or hat. Pellets of other clay have been set on her face and
 chest, and a beret on her head, as lightly as they stick; tools then press the eyes flat, push the
-beret down all around, print a smile, hollow the ears and print a star. All that the face is in the
+beret down all around, print a smile, hollow the ears and press a badge on. All that the face is in the
 end, clay and tools have done.
 
 All of it are ordinary objects with modifiers and keyframes, to be changed by hand.
@@ -48,13 +48,13 @@ _STEEL = (0.35, 0.36, 0.38)
 _RUBBER = (0.30, 0.10, 0.055)
 
 _EYE = (0.195, 1.165)
-_STAR = (0.0, 0.24)
+_BADGE = (0.0, 0.24)
 _EAR = (0.55, 1.09)
-_NOSTRIL = (0.062, 0.865)
+_NOSTRIL = (0.078, 0.880)
 """Places of the left side of her face in the front view: x and z [heads]."""
-_SMILE, _SMILE_RADIUS = (0.0, 0.705), 0.135
+_SMILE, _SMILE_RADIUS = (0.0, 0.700), 0.140
 """Where its middle is, likewise, and its bend [heads]."""
-_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.100, 0.055, 0.122, 0.090
+_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.100, 0.062, 0.118, 0.090
 _BERET = (0.42, 0.40, 0.115)
 """Radii [heads]."""
 _STICKINESS = 20000.0
@@ -110,7 +110,7 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
             middle = place + HEAD * height * out
             middle.x *= side
             items.append(add_ball(f"{kind}, {name}", middle, HEAD * radius, color))
-    place, out = _on(skin, _STAR)
+    place, out = _on(skin, _BADGE)
     middle = place + HEAD * 0.8 * _BADGE_RADIUS * out
     items.append(add_ball("Badge", middle, HEAD * _BADGE_RADIUS, _YELLOW))
     return items
@@ -183,15 +183,15 @@ def _add_tools(
         finger.press((place, (out + Vector((0.0, 0.0, 1.2))).normalized()), 0.16 * HEAD,
                      (start, start + 9, start + 11, start + 18))  # fmt: skip
 
-    bow = bow_shape(_SMILE_RADIUS * HEAD, 0.026 * HEAD, radians(62.0))
+    bow = bow_shape(_SMILE_RADIUS * HEAD, 0.042 * HEAD, radians(58.0))
     smile = ModellingTool(context, "Bow", bow, friction=0.1, color=_STEEL, handle=0.0030)
     tools.append(smile)
     place, _ = _on(skin, _SMILE)
-    smile.press((place, Vector((0.0, -1.0, 0.0))), 0.062 * HEAD, (58, 78, 82, 98))
+    smile.press((place, Vector((0.0, -1.0, 0.0))), 0.080 * HEAD, (58, 78, 82, 98))
 
-    stylus = tool("Stylus", "ball", 0.0042, _STEEL, 0.0032)
+    stylus = tool("Stylus", "ball", 0.0052, _STEEL, 0.0032)
     for start, spot in ((108, _on(skin, _NOSTRIL)), (132, mirrored(_on(skin, _NOSTRIL)))):
-        stylus.press(spot, 0.065 * HEAD, (start, start + 9, start + 11, start + 20))
+        stylus.press(spot, 0.085 * HEAD, (start, start + 9, start + 11, start + 20))
 
     front = _on(skin, _EAR)
     back = skin.met((HEAD * _EAR[0], 1.0, HEAD * _EAR[1]), (0.0, -1.0, 0.0))
@@ -202,11 +202,11 @@ def _add_tools(
         one, other = (front[0], -inward), (back[0], inward)
         if side == "right":
             one, other = mirrored(one), mirrored(other)
-        hollow.press(one, 0.075 * HEAD, (60, 84, 88, 104))
+        hollow.press(one, 0.100 * HEAD, (60, 84, 88, 104))
         hold.press(other, 0.0, (56, 74, 92, 106))
 
-    stamp = tool("Star", "stamp", 0.0090, (0.42, 0.22, 0.09), 0.004)
-    stamp.press(_on(skin, _STAR), -0.035 * HEAD, (100, 126, 130, 142))
+    thumb = tool("Thumb", "finger", 0.0125, _RUBBER, 0.005)
+    thumb.press(_on(skin, _BADGE), -0.030 * HEAD, (100, 126, 130, 142))
     return tuple(made.write() for made in tools)
 
 
