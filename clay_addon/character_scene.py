@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The character: a bust of Suzanne, modelled with tools from clay of five colours.
+"""The character: a bust of Suzanne, modelled with tools from wax of six colours.
 
-She is blocked out without eyes, mouth or hat. Pellets of other clay have been set on her face and
-chest, and a beret on her head, as lightly as they stick; tools then press the eyes flat, push the
-beret down all around, print a smile, hollow the ears and press a badge on. All that the face is in the
-end, clay and tools have done.
+She is blocked out without eyes, mouth or hat. Pellets of other wax have been set on her face and
+chest, and a beret on her head, as lightly as they stick. Tools then press the eyes flat, push the
+beret down all around, print a smile, hollow the ears and press a badge on.
 
 All of it are ordinary objects with modifiers and keyframes, to be changed by hand.
 """

@@ -69,7 +69,7 @@ SCENES = {
     ),
     "character": DemoScene(
         module="character_scene",
-        what="tools model a bust from clay of six colours",
+        what="tools model a bust from wax of six colours",
         moments=(0.0, 0.2, 0.5, 0.75, 1.0),
         layout="feature",
         width=960,
