@@ -21,7 +21,7 @@ _MODULES = (
     "wheel",
     "playback",
     "sculpt.take_operators",
-    "export",
+    "export_operators",
     "pack",
     "pose_operators",
     "foci_empties",

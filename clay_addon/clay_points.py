@@ -75,7 +75,8 @@ def replace_points(
     points = np.ascontiguousarray(local, np.float32)
     tints = np.ascontiguousarray(colors, np.float32)
     spacing = item.tactile_clay.spacing
-    if hasattr(bpy.types.PointCloud, "resize"):
+    # The class does not have what its objects have.
+    if hasattr(item.data, "resize"):
         item.data.resize(len(points))
         write_attributes(item.data, points, tints, spacing)
         return

@@ -379,6 +379,8 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
     context, scene = _open(arguments)
     from .export import ExportError, check_target, export_clay
     from .playback import message, shown_frame
+    from .poses import plays_itself
+    from .simulation import clay_objects
     from .surface import SurfaceError
 
     if arguments.cache is not None:
@@ -388,9 +390,10 @@ def _export(arguments: argparse.Namespace) -> _Outcome:
         check_target(arguments.output, unit=arguments.unit)
         with context.temp_override(scene=scene):
             scene.frame_set(frame)
-            if message(scene):
+            itself = all(plays_itself(item, frame) for item in clay_objects(scene))
+            if message(scene) and not itself:
                 raise _CommandError(message(scene), EXIT_STALE)
-            shown = shown_frame(scene)
+            shown = frame if itself else shown_frame(scene)
             if shown is None and arguments.cache is not None:
                 raise _CommandError(f"There is no bake in {_absolute(arguments.cache)}.")
             table = export_clay(

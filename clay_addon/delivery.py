@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import time
-from collections.abc import Callable, Generator, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -22,22 +21,31 @@ from statistics import median
 import bpy
 
 from .cache import CacheError
-from .cache_files import lock_file, replace_file
+from .cache_files import replace_file
 from .delivery_files import FRAMES_FOLDER, ROOT_NAME, FrameWriter, write_root
+from .delivery_folder import (
+    NOTE,
+    DeliveryError,
+    partial_folder,
+    replace_folder,
+    resolve_folder,
+)
 from .delivery_object import close_delivery, show_delivery
 from .playback import cache_of
 from .properties import frame_range
-from .shown_clay import ShownClay, ShownClayError, particles_surface
+from .shown_clay import ShownClay, ShownClayError, moves, particles_surface
 from .simulation import clay_objects, frames_per_second
 from .surface import SurfaceError
 
+__all__ = [
+    "DeliveryError",
+    "DeliveryProgress",
+    "DeliveryResult",
+    "deliver",
+    "deliver_steps",
+]
+
 KINDS = ("usd", "abc")
-NOTE = "delivery.json"
-"""Marks a folder as a delivery, which may be replaced, and says what is in it."""
-
-
-class DeliveryError(Exception):
-    """The clay cannot be delivered; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -165,16 +173,17 @@ def deliver_steps(
     if not clay:
         raise DeliveryError("There is no clay to deliver. Make clay first.")
     tally = _Tally()
+    previous = scene.frame_current, scene.frame_subframe
     try:
         shown = ShownClay(scene, clay, cache_of(scene))
         first, last = _range(scene, shown, start, end)
-        own = ("own",)
-        if shown.sculpted and any(own in shown.key(n) for n in range(first, last + 1)):
+        keys = (key for number in range(first, last + 1) for key in shown.key(number))
+        if shown.sculpted and any(key[0] == "own" for key in keys):
             raise DeliveryError(
                 "The clay was sculpted since it was baked, so it does not play that bake. Bake "
                 "again, undo, or Free the bake to deliver what was sculpted."
             )
-        with _partial_folder(target) as folder:
+        with partial_folder(target) as folder:
             shapes = yield from _write_frames(
                 scene, shown, folder, kind, first, last, points, tally
             )
@@ -193,7 +202,7 @@ def deliver_steps(
             if show:
                 # An open file keeps some systems from moving its folder.
                 close_delivery(scene)
-            _replace_folder(folder, target)
+            replace_folder(folder, target)
     except ReferenceError as error:
         raise DeliveryError(
             "Something that is delivered was deleted, or replaced by Undo, on the way. Nothing was "
@@ -211,6 +220,11 @@ def deliver_steps(
             f"{target} could not be written ({error.strerror or error}). What was there is as it "
             "was. Choose another folder, or free some space."
         ) from error
+    finally:
+        # Undo replaces the scene.
+        with suppress(ReferenceError):
+            if (scene.frame_current, scene.frame_subframe) != previous:
+                scene.frame_set(previous[0], subframe=previous[1])
     name = ""
     if show:
         with_points = points and kind == "usd"
@@ -230,31 +244,6 @@ def deliver_steps(
         seconds_per_shape=median(tally.seconds),
         object_name=name,
     )
-
-
-def resolve_folder(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None) -> Path:
-    """The folder of a scene's delivery as an absolute path.
-
-    Raises:
-        DeliveryError: No folder is set, or it is relative to a .blend that was never saved.
-    """
-    text = os.fspath(directory) if directory is not None else scene.tactile_clay.delivery_directory
-    if not text:
-        raise DeliveryError("No folder for the delivery is set. Set one in the Delivery panel.")
-    if text.startswith("//") and not bpy.data.filepath:
-        raise DeliveryError(
-            "The .blend was never saved, and its delivery goes into a folder beside it. Save the "
-            "file first, or set an absolute folder."
-        )
-    path = Path(bpy.path.abspath(text)).absolute()
-    if path.exists() and not path.is_dir():
-        raise DeliveryError(f"{path} is a file. Choose a folder for the delivery.")
-    if path.is_dir() and any(path.iterdir()) and not (path / NOTE).is_file():
-        raise DeliveryError(
-            f"{path} holds other files than a delivery. Choose another folder, so that they are "
-            "not lost."
-        )
-    return path
 
 
 def _check_build(kind: str) -> None:
@@ -302,9 +291,12 @@ def _write_frames(
     writer = FrameWriter(folder / FRAMES_FOLDER, kind, frames_per_second=rate, points=points)
     total = last + 1 - first
     began = time.perf_counter()
+    moving = any(moves(item) for item in clay_objects(scene))
     for number in range(first, last + 1):
         key = shown.key(number)
         if key not in files:
+            if moving:
+                scene.frame_set(number)
             start = time.perf_counter()
             particles = shown.read(number)
             surface, count, volume = particles_surface(particles, moving=kind == "usd")
@@ -333,49 +325,3 @@ def _write_note(
     }
     text = json.dumps(table, indent=1) + "\n"
     replace_file(folder / NOTE, folder / f"{NOTE}.tmp", lambda file: file.write(text.encode()))
-
-
-@contextmanager
-def _partial_folder(target: Path) -> Iterator[Path]:
-    """A folder beside the target that is gone afterwards, unless it was moved.
-
-    Raises:
-        DeliveryError: Another process delivers into the same folder.
-        OSError: It cannot be made.
-    """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{target.name}.partial")
-    lock_path = target.with_name(f".{target.name}.lock")
-    with lock_path.open("a+b") as lock:
-        try:
-            lock_file(lock.fileno())
-        except BlockingIOError:
-            raise DeliveryError(
-                f"Another process is delivering into {target}. Wait for it, or choose another "
-                "folder."
-            ) from None
-        # One that was killed leaves its folder.
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir()
-        try:
-            yield partial
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-            # Some systems remove no file that is open; it does no harm.
-            with suppress(OSError):
-                lock_path.unlink()
-
-
-def _replace_folder(partial: Path, target: Path) -> None:
-    """Put the new delivery in the place of the old one, which comes back if that fails."""
-    old = target.with_name(f".{target.name}.old")
-    shutil.rmtree(old, ignore_errors=True)
-    if target.exists():
-        target.rename(old)
-    try:
-        partial.rename(target)
-    except OSError:
-        if old.exists():
-            old.rename(target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)

@@ -19,12 +19,11 @@ import bpy
 import numpy as np
 
 from .cache_files import replace_file
+from .delivery_nodes import FILE_COLOR, late_group
 from .look import set_input
 from .shown_clay import Particles
 from .surface import Surface
 
-COLOR_ATTRIBUTE = "displayColor"
-"""The name that programs which read USD show without being told."""
 VELOCITY_ATTRIBUTE = "velocity"
 """What Cycles makes motion blur from, per second."""
 ROOT_NAME = "clay.usda"
@@ -111,12 +110,12 @@ class FrameWriter:
         assert surface.colors is not None
         if self._kind == "usd":
             assert surface.velocities is not None
-            _add_attribute(mesh, COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", surface.colors)
+            _add_attribute(mesh, FILE_COLOR, "FLOAT_COLOR", "color", surface.colors)
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
             _add_late(item, made, number, "FACE")
             return
         # Alembic of Blender has no other colours, and no velocities.
-        layer = mesh.attributes.new(COLOR_ATTRIBUTE, "BYTE_COLOR", "CORNER")
+        layer = mesh.attributes.new(FILE_COLOR, "BYTE_COLOR", "CORNER")
         corners = np.ascontiguousarray(surface.colors[surface.faces.ravel()], np.float32)
         layer.data.foreach_set("color", corners.ravel())
         mesh.attributes.active_color = layer
@@ -135,7 +134,7 @@ class FrameWriter:
         mesh.vertices.add(len(positions))
         for name, kind, key, values in (
             ("position", "FLOAT_VECTOR", "vector", positions),
-            (COLOR_ATTRIBUTE, "FLOAT_COLOR", "color", [part.colors for part in particles]),
+            (FILE_COLOR, "FLOAT_COLOR", "color", [part.colors for part in particles]),
             (VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", [p.velocities for p in particles]),
         ):
             whole = np.concatenate(values) if isinstance(values, list) else values
@@ -269,7 +268,7 @@ def _add_object(
 def _add_late(
     item: bpy.types.Object, made: list[bpy.types.ID], number: int, domain: str
 ) -> bpy.types.Modifier:
-    group = _late_group(domain)
+    group = late_group(domain)
     made.append(group)
     modifier = item.modifiers.new("Late", "NODES")
     modifier.node_group = group
@@ -295,41 +294,3 @@ def _free_name(name: str) -> str:
         count += 1
         wanted = f"{name}_{count}"
     return wanted
-
-
-def _late_group(domain: str) -> bpy.types.NodeTree:
-    """Nodes that leave one element of a mesh before a frame, and all of it from there on."""
-    tree = bpy.data.node_groups.new("Clay Delivery", "GeometryNodeTree")
-    tree.is_modifier = True
-    socket = tree.interface.new_socket
-    socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    socket("Frame", in_out="INPUT", socket_type="NodeSocketInt")
-    socket("Radius", in_out="INPUT", socket_type="NodeSocketFloat")
-    socket("Particles", in_out="INPUT", socket_type="NodeSocketObject")
-    given = tree.nodes.new("NodeGroupInput")
-    early = tree.nodes.new("ShaderNodeMath")
-    early.operation = "LESS_THAN"
-    tree.links.new(tree.nodes.new("GeometryNodeInputSceneTime").outputs["Frame"], early.inputs[0])
-    tree.links.new(given.outputs["Frame"], early.inputs[1])
-    beyond = tree.nodes.new("ShaderNodeMath")
-    beyond.operation = "MULTIPLY"
-    tree.links.new(early.outputs[0], beyond.inputs[0])
-    tree.links.new(tree.nodes.new("GeometryNodeInputIndex").outputs[0], beyond.inputs[1])
-    left = tree.nodes.new("GeometryNodeDeleteGeometry")
-    left.domain = domain
-    source = given
-    if domain == "POINT":
-        source = tree.nodes.new("GeometryNodeObjectInfo")
-        tree.links.new(given.outputs["Particles"], source.inputs["Object"])
-    tree.links.new(source.outputs["Geometry"], left.inputs["Geometry"])
-    tree.links.new(beyond.outputs[0], left.inputs["Selection"])
-    geometry = left.outputs[0]
-    if domain == "POINT":
-        points = tree.nodes.new("GeometryNodeMeshToPoints")
-        tree.links.new(geometry, points.inputs["Mesh"])
-        tree.links.new(given.outputs["Radius"], points.inputs["Radius"])
-        geometry = points.outputs[0]
-    result = tree.nodes.new("NodeGroupOutput")
-    tree.links.new(geometry, result.inputs["Geometry"])
-    return tree

@@ -10,22 +10,20 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from .delivery_files import COLOR_ATTRIBUTE as FILE_COLOR
 from .delivery_files import FRAMES_FOLDER, POINTS_PATH, ROOT_NAME
+from .delivery_nodes import finish_group
 from .keyed_channels import CONSTANT, Channel, write_channels
-from .look import clay_material, set_input
+from .look import set_input
+from .look_material import clay_material
 from .shown_clay import world_spacing
-from .surface_mesh import COLOR_ATTRIBUTE, SPACING_ATTRIBUTE, TEXTURE_ATTRIBUTE
 
 OBJECT_NAME = "Clay Delivery"
 POINTS_NAME = "Clay Delivery Points"
 MODIFIER_NAME = "Clay Delivery"
-NODE_GROUP_NAME = "Clay Delivery"
 _MARK = "tactile_clay_delivery"
 _POINTS_MARK = "tactile_clay_delivery_points"
 _HIDDEN_MARK = "tactile_clay_delivered"
 """Custom property of clay that a delivery hid: whether it was to be rendered before."""
-_VERSION = 1
 
 
 def delivered_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
@@ -151,7 +149,7 @@ def _new_object(scene: bpy.types.Scene, clay: Sequence[bpy.types.Object]) -> bpy
     scene.collection.objects.link(item)
     item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
     modifier = item.modifiers.new(MODIFIER_NAME, "NODES")
-    modifier.node_group = _finish_group()
+    modifier.node_group = finish_group()
     material = clay[0].active_material or clay_material()
     item.data.materials.append(material)
     set_input(modifier, "Material", material)
@@ -178,63 +176,3 @@ def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]) -
     numbers = [int(shapes[frame].rpartition("_")[2].partition(".")[0]) for frame in shapes]
     channel = Channel("frame", 0, np.array(list(shapes)), np.array(numbers), CONSTANT)
     write_channels(cache_file, cache_file.name, [channel])
-
-
-def _finish_group() -> bpy.types.NodeTree:
-    """Return the nodes that give a delivered surface its colour, grain and material."""
-    for tree in bpy.data.node_groups:
-        if tree.get(_MARK) == _VERSION and tree.library is None:
-            return tree
-    tree = bpy.data.node_groups.new(NODE_GROUP_NAME, "GeometryNodeTree")
-    tree[_MARK] = _VERSION
-    tree.is_modifier = True
-    socket = tree.interface.new_socket
-    socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    spacing = socket("Spacing", in_out="INPUT", socket_type="NodeSocketFloat")
-    spacing.default_value, spacing.min_value = 0.005, 1e-9
-    spacing.description = "Distance between the particles, for the grain of the material"
-    spacing.subtype = "DISTANCE"
-    socket("Material", in_out="INPUT", socket_type="NodeSocketMaterial")
-    link = tree.links.new
-    given = tree.nodes.new("NodeGroupInput")
-    given.location = (-700, 0)
-
-    def store(name: str, kind: str, value: bpy.types.NodeSocket, x: float) -> bpy.types.Node:
-        node = tree.nodes.new("GeometryNodeStoreNamedAttribute")
-        node.location = (x, 0)
-        node.data_type = kind
-        node.domain = "POINT"
-        node.inputs["Name"].default_value = name
-        link(value, node.inputs["Value"])
-        return node
-
-    color = tree.nodes.new("GeometryNodeInputNamedAttribute")
-    color.location = (-500, -250)
-    color.data_type = "FLOAT_COLOR"
-    color.inputs["Name"].default_value = FILE_COLOR
-    unit = tree.nodes.new("ShaderNodeVectorMath")
-    unit.location = (-300, -250)
-    unit.operation = "DIVIDE"
-    link(tree.nodes.new("GeometryNodeInputPosition").outputs[0], unit.inputs[0])
-    link(given.outputs["Spacing"], unit.inputs[1])
-    geometry = given.outputs["Geometry"]
-    for name, kind, value, x in (
-        (COLOR_ATTRIBUTE, "FLOAT_COLOR", color.outputs["Attribute"], -300),
-        (TEXTURE_ATTRIBUTE, "FLOAT_VECTOR", unit.outputs[0], -100),
-        (SPACING_ATTRIBUTE, "FLOAT", given.outputs["Spacing"], 100),
-    ):
-        node = store(name, kind, value, x)
-        link(geometry, node.inputs["Geometry"])
-        geometry = node.outputs[0]
-    smooth = tree.nodes.new("GeometryNodeSetShadeSmooth")
-    smooth.location = (300, 0)
-    link(geometry, smooth.inputs[0])
-    painted = tree.nodes.new("GeometryNodeSetMaterial")
-    painted.location = (500, 0)
-    link(smooth.outputs[0], painted.inputs["Geometry"])
-    link(given.outputs["Material"], painted.inputs["Material"])
-    result = tree.nodes.new("NodeGroupOutput")
-    result.location = (700, 0)
-    link(painted.outputs[0], result.inputs["Geometry"])
-    return tree

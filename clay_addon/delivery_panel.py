@@ -17,6 +17,7 @@ class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801
     """What leaves Blender as animation."""
 
     bl_label = "Delivery"
+    bl_order = 7
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Clay"

@@ -20,14 +20,13 @@ from typing import IO, Any
 
 import bpy
 import numpy as np
-from bpy_extras.io_utils import ExportHelper
 from numpy.typing import NDArray
 
 from .cache_files import replace_file
 from .mesh_3mf import write_3mf
-from .print_checks import base_area, check_print, flat_base
+from .print_checks import base_area, check_print, flat_base, untangle
 from .shown_clay import Particles, ShownClayError, particles_surface
-from .surface import Surface, SurfaceError
+from .surface import Surface
 
 SUFFIXES = (".stl", ".3mf", ".obj", ".ply", ".glb")
 UNITS = {"m": 1.0, "mm": 1000.0}
@@ -157,11 +156,14 @@ def export_clay(
     if not objects:
         raise ExportError("There is no clay to export. Make clay first.")
     surface, particle_count, volume = clay_surface(context, objects)
+    printed = target.suffix.lower() in PRINTED
+    if printed:
+        surface = untangle(surface)
     volume_error = surface.volume / volume - 1
     if base > 0:
         surface = flat_base(surface, base / 1000)
     write_mesh(surface, target, unit=unit)
-    checked = _print_table(surface, wall) if target.suffix.lower() in PRINTED else None
+    checked = _print_table(surface, wall) if printed else None
     return {
         "file": str(target),
         "particles": particle_count,
@@ -181,8 +183,8 @@ def _print_table(surface: Surface, wall: float) -> dict[str, Any]:
     warnings = []
     if found.crossings:
         warnings.append(
-            f"{found.crossings} pairs of triangles cross each other, where the clay is thinner "
-            "than its particles are apart. Most slicers mend that; thicker clay has none."
+            f"{found.crossings} pairs of triangles cross each other, where films of clay are "
+            "thinner than its particles are apart. Most slicers mend that; thicker clay has none."
         )
     # A few triangles at a sharp edge are no wall.
     if found.thin_share > 1e-3:
@@ -304,100 +306,3 @@ def _write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             f"{path} could not be written ({error.strerror or error}). Choose another folder, or"
             " change its permissions."
         ) from error
-
-
-class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
-    """Export the clay at the current frame as one closed, coloured mesh: STL, 3MF, OBJ, PLY, GLB"""
-
-    bl_idname = "clay.export"
-    bl_label = "Export Clay"
-
-    filename_ext = ".stl"
-    check_extension = None
-    filter_glob: bpy.props.StringProperty(
-        default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"}
-    )
-    use_selection: bpy.props.BoolProperty(
-        name="Selected Only", description="Export only selected clay", default=False
-    )
-    unit: bpy.props.EnumProperty(
-        name="Unit",
-        description="Unit of the numbers in the file",
-        items=(
-            (AUTO, "Automatic", "Millimetres in STL and 3MF, as slicers read them, else metres"),
-            ("m", "Metres", "As Blender's own exporters write"),
-            ("mm", "Millimetres", "As programs for 3D printing read STL"),
-        ),
-        default=AUTO,
-    )
-    base: bpy.props.FloatProperty(
-        name="Flat Base (mm)",
-        description="Cut this much off the bottom [mm], for the clay to stand on; 0 leaves it",
-        default=0.0,
-        min=0.0,
-        soft_max=10.0,
-    )
-    wall: bpy.props.FloatProperty(
-        name="Thinnest Wall (mm)",
-        description="Warn of thinner walls in STL and 3MF [mm]",
-        default=MINIMUM_WALL,
-        min=0.0,
-        soft_max=5.0,
-    )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
-        from .simulation import clay_objects
-
-        return bool(clay_objects(context.scene))
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Export, or report why not."""
-        from .playback import message
-        from .simulation import clay_objects
-
-        clay = clay_objects(context.scene)
-        if self.use_selection:
-            clay = [item for item in clay if item in context.selected_objects]
-            if not clay:
-                self.report({"ERROR"}, "No clay is selected.")
-                return {"CANCELLED"}
-        if message(context.scene):
-            self.report({"WARNING"}, message(context.scene))
-        window = None if bpy.app.background else context.window
-        if window:
-            window.cursor_modal_set("WAIT")
-        try:
-            result = export_clay(
-                context,
-                bpy.path.abspath(self.filepath),
-                objects=clay,
-                unit=self.unit,
-                base=self.base,
-                wall=self.wall,
-            )
-        except (ExportError, SurfaceError) as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            if window:
-                window.cursor_modal_restore()
-        for warning in (result["print"] or {}).get("warnings", ()):
-            self.report({"WARNING"}, warning)
-        size = " × ".join(f"{length:.1f}" for length in result["size"])
-        self.report(
-            {"INFO"},
-            f"{Path(result['file']).name}: {result['faces']:,} triangles, watertight, {size} mm",
-        )
-        return {"FINISHED"}
-
-
-def register() -> None:
-    """Register the operator."""
-    bpy.utils.register_class(CLAY_OT_export)
-
-
-def unregister() -> None:
-    """Unregister the operator."""
-    bpy.utils.unregister_class(CLAY_OT_export)

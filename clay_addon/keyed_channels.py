@@ -65,16 +65,16 @@ def write_channels(item: bpy.types.ID, name: str, channels: Sequence[Channel]) -
 
 
 def find_curve(item: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
-    """The curve of one property in an object's own action; None where it has no keys."""
+    """The first curve of a property in an object's own action; None where it has no keys."""
     animation = item.animation_data
     if animation is None or animation.action is None or animation.action_slot is None:
         return None
     for layer in animation.action.layers:
         for strip in layer.strips:
             bag = strip.channelbag(animation.action_slot)
-            curve = bag.fcurves.find(path) if bag is not None else None
-            if curve is not None:
-                return curve
+            for curve in bag.fcurves if bag is not None else ():
+                if curve.data_path == path:
+                    return curve
     return None
 
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
+from .app_handlers import add_handlers, remove_handlers
 from .look import MODIFIER_NAME
 from .look_material import clay_material
 from .poses import pose_modifier
@@ -285,17 +286,11 @@ _HANDLERS = (
 
 def register() -> None:
     """Add the handlers, each once."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """Close what is live, and remove the handlers."""
     for live in list(_open):
         live.close()
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)

@@ -314,13 +314,15 @@ def make_point_cloud(
         name: Of the object and its points.
     """
     count = len(points)
-    if hasattr(bpy.types.PointCloud, "resize"):
-        data = bpy.data.pointclouds.new(name)
+    data = bpy.data.pointclouds.new(name)
+    # The class does not have what its objects have.
+    if hasattr(data, "resize"):
         data.resize(count)
         write_attributes(data, points, colors, spacing)
         item = bpy.data.objects.new(name, data)
         context.collection.objects.link(item)
         return item
+    bpy.data.pointclouds.remove(data)
     # Blender 4.5 can size a point cloud in no other way than to convert a mesh.
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(count)

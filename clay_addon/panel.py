@@ -35,6 +35,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Making clay, and what it is made of."""
 
     bl_label = "Clay"
+    bl_order = 0
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -91,6 +92,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """What presses on the clay."""
 
     bl_label = "Colliders"
+    bl_order = 2
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -119,6 +121,7 @@ class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Hands that work the clay."""
 
     bl_label = "Hands"
+    bl_order = 3
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -144,6 +147,7 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """The bake: its range, its folder, its state."""
 
     bl_label = "Bake"
+    bl_order = 6
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -158,6 +162,9 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
             column.prop(properties, "frame_start")
             column.prop(properties, "frame_end")
         column.prop(properties, "substeps")
+        column.prop(properties, "motion_samples")
+        if hand_objects(scene):
+            column.prop(properties, "hands_give_way")
         column.prop(properties, "cache_directory")
         running = bake_operators.running
         if running is not None:
@@ -192,6 +199,7 @@ class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
     """Taking the shape out of Blender."""
 
     bl_label = "Export"
+    bl_order = 8
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
+from .app_handlers import add_handlers, remove_handlers
 from .bake_checks import BakeError, resolve_directory
 from .cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
 from .clay_points import BAKED_MARK, is_sculpted, write_points
@@ -193,17 +194,11 @@ _HANDLERS = (
 
 def register() -> None:
     """Add the handlers, each once."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """Remove the handlers."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     _messages.clear()
     _metas.clear()

@@ -61,6 +61,11 @@ def pose_at(clay: bpy.types.Object, frame: float) -> bpy.types.Object | None:
     return _poses(modifier).get(round(value))
 
 
+def plays_itself(clay: bpy.types.Object, frame: float) -> bool:
+    """Whether what an object shows at a frame is in the .blend: packed, or keyed as a pose."""
+    return is_packed(clay) or pose_at(clay, frame) is not None
+
+
 def pose_frames(clay: bpy.types.Object) -> list[int]:
     """Frames at which an object has a key of its shape, sorted."""
     modifier = pose_modifier(clay)

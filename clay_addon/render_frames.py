@@ -19,8 +19,10 @@ from pathlib import Path
 import bpy
 
 from .cache_files import replace_file
-from .pack import is_packed
+from .delivery_object import delivered_object
 from .playback import cache_of, message
+from .poses import plays_itself
+from .properties import held_frame
 from .simulation import clay_objects
 
 __all__ = ["FrameNotBakedError", "RenderError", "RenderProgress", "RenderResult", "render_frames"]
@@ -112,8 +114,8 @@ def render_frames(
 
 def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
     """Refuse frames that playback would show with another frame's shape."""
-    clay = clay_objects(scene)
-    if not clay or all(is_packed(item) for item in clay):
+    frames = [frame for frame in frames if _shows_bake(scene, frame)]
+    if not frames:
         return
     cache = cache_of(scene)
     baked = set(cache.frames()) if cache else set()
@@ -124,7 +126,8 @@ def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
             + ". Bake first, or say with --cache where the bake is."
         )
     # Before its first frame the clay rests, which is what that frame holds.
-    missing = sorted({frame for frame in frames if frame >= min(baked)} - baked)
+    first = min(baked)
+    missing = sorted({held_frame(scene, f, first) for f in frames if f >= first} - baked)
     if missing:
         shown = ", ".join(str(frame) for frame in missing[:8])
         more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
@@ -134,10 +137,17 @@ def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
         )
 
 
+def _shows_bake(scene: bpy.types.Scene, frame: int) -> bool:
+    """Whether any clay is seen as it was baked: not delivered, packed, or keyed as a pose."""
+    if delivered_object(scene) is not None:
+        return False
+    return not all(plays_itself(item, frame) for item in clay_objects(scene))
+
+
 def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) -> None:
     """Render one frame into a folder of this machine, then put the picture where it belongs."""
     scene.frame_set(frame)
-    if message(scene):
+    if message(scene) and _shows_bake(scene, frame):
         raise FrameNotBakedError(message(scene))
     # As an animation of one frame, so that compositing and names are those of Blender's own.
     scene.frame_start = scene.frame_end = frame

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .cache import Cache, Meta
 from .clay_points import is_sculpted, present_rows
+from .keyed_channels import find_curve
 from .mesh_geometry import transform
 from .pack import is_packed, packed_positions
 from .playback import is_bake_of
@@ -50,7 +51,9 @@ class Particles:
 
 
 class ShownClay:
-    """Reads what clay objects show, frame by frame, without changing the scene.
+    """Reads what clay objects show, frame by frame.
+
+    Objects that move (see `moves`) are taken where they are at the scene's current frame.
 
     Args:
         scene: Where the clay is.
@@ -130,11 +133,12 @@ class ShownClay:
 
     def _key(self, item: bpy.types.Object, number: int) -> tuple[object, ...]:
         pose = pose_at(item, number)
+        where = (number,) if moves(item) else ()
         if pose is not None:
-            return ("pose", pose.name)
+            return ("pose", pose.name, *where)
         if is_packed(item):
             return ("packed", number)
-        return ("baked", self._baked_frame(number)) if self.baked else ("own",)
+        return ("baked", self._baked_frame(number)) if self.baked else ("own", *where)
 
     def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> Particles:
         """Particles of a keyed, packed or sculpted shape, which goes with its object."""
@@ -161,6 +165,21 @@ def _present(
     return Particles(
         transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
     )
+
+
+def moves(item: bpy.types.Object) -> bool:
+    """Whether a clay object itself is moved: keyed, driven, constrained or by a parent.
+
+    A bake is in the world, but keyed, packed and sculpted shapes go with their object.
+    """
+    animation = item.animation_data
+    if item.parent is not None or len(item.constraints):
+        return True
+    if animation is None:
+        return False
+    paths = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
+    keyed = (find_curve(item, prefix + path) for prefix in ("", "delta_") for path in paths)
+    return bool(animation.drivers or animation.nla_tracks) or any(keyed)
 
 
 def world_spacing(item: bpy.types.Object) -> float:

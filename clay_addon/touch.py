@@ -17,6 +17,7 @@ import bpy
 from bpy.app.handlers import persistent
 from numpy.typing import ArrayLike
 
+from .app_handlers import add_handlers, remove_handlers
 from .touch_array import placed_array
 from .touch_properties import device_name
 
@@ -229,12 +230,10 @@ def _end_with_file(*_: object) -> None:
 
 def register() -> None:
     """Let go of the array when another file is opened."""
-    if _end_with_file not in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.append(_end_with_file)
+    add_handlers((("load_pre", _end_with_file),))
 
 
 def unregister() -> None:
     """Let go of the array."""
     _end_with_file()
-    if _end_with_file in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.remove(_end_with_file)
+    remove_handlers((("load_pre", _end_with_file),))

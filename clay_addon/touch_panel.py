@@ -52,6 +52,7 @@ class CLAY_PT_touch(bpy.types.Panel):  # noqa: N801
     """Feeling the clay through an ultrasound array."""
 
     bl_label = "Touch"
+    bl_order = 5
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Clay"

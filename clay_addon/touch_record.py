@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from . import touch
+from .app_handlers import add_handlers, remove_handlers
 from .cache import Cache, CacheError, Meta
 from .cache_foci import FociFrame, read_foci, write_foci
 from .playback import cache_of
@@ -97,13 +98,9 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
 
 def register() -> None:
     """Follow the frames."""
-    handlers = bpy.app.handlers.frame_change_post
-    if _feel_frame not in handlers:
-        handlers.append(_feel_frame)
+    add_handlers((("frame_change_post", _feel_frame),))
 
 
 def unregister() -> None:
     """Follow them no more."""
-    handlers = bpy.app.handlers.frame_change_post
-    if _feel_frame in handlers:
-        handlers.remove(_feel_frame)
+    remove_handlers((("frame_change_post", _feel_frame),))

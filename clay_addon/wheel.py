@@ -5,7 +5,7 @@ A wheel is turned by an *axle*: an object in no scene that turns about Z, and th
 the wheel copies its turning from. On the timeline the axle is keyed in each frame, at the integral
 of the speed, so that a wheel plays, renders and bakes as any animated object does, also where this
 extension is not there; all the rest of the wheel's transform stays free to be set or animated. In
-a live session there is no timeline, and `LiveWheels` turns the axle by the clock.
+a live session there is no timeline, and `wheel_live` turns the axle by the clock.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from .properties import frame_range
-from .wheel_speed import RATE, is_driven, limited, speed_curve, turns, turns_between
+from .wheel_speed import is_driven, speed_curve, turns, turns_between
 
 CONSTRAINT_NAME = "Clay Wheel"
 _STAMP = "tactile_clay_wheel"
@@ -29,8 +29,8 @@ _LINEAR = 1
 _MOST_TURN = math.radians(170.0)
 """Beyond half a turn a frame nobody could tell which way a wheel goes [rad]."""
 
-_live: set[int] = set()
-"""Scenes whose wheels `LiveWheels` turns, by ``session_uid``."""
+live_scenes: set[int] = set()
+"""Scenes whose wheels `wheel_live.LiveWheels` turns, by ``session_uid``."""
 
 
 class WheelError(Exception):
@@ -64,7 +64,7 @@ def refresh(scene: bpy.types.Scene) -> None:
 
     Driven wheels keep what `sample` found.
     """
-    if scene.session_uid in _live:
+    if scene.session_uid in live_scenes:
         return
     taken: set[bpy.types.Object] = set()
     start, low, high = _frames(scene)
@@ -75,7 +75,11 @@ def refresh(scene: bpy.types.Scene) -> None:
         if not is_wheel(item):
             _take_off(item)
         elif not is_driven(item):
-            axle = _axle(item, taken)
+            axle = ensure_axle(item, taken)
+            # As a live session has left it in a file that was saved meanwhile.
+            curve = angle_curve(axle)
+            if curve is not None and curve.mute:
+                curve.mute = False
             stamp = _stamp(item, start, low, high, duration)
             if axle.get(_STAMP) != stamp:
                 _write(item, axle, turns(item, low, high, duration), start, low)
@@ -89,7 +93,7 @@ def sample(scene: bpy.types.Scene) -> None:
     """
     refresh(scene)
     driven = [item for item in wheel_objects(scene) if is_driven(item)]
-    if not driven or scene.session_uid in _live:
+    if not driven or scene.session_uid in live_scenes:
         return
     start, low, high = _frames(scene)
     previous = scene.frame_current, scene.frame_subframe
@@ -102,7 +106,7 @@ def sample(scene: bpy.types.Scene) -> None:
     taken = {item.tactile_clay.wheel_axle for item in wheel_objects(scene) if item not in driven}
     duration = scene.render.fps_base / scene.render.fps
     for row, item in zip(speeds, driven, strict=True):
-        axle = _axle(item, taken)
+        axle = ensure_axle(item, taken)
         _write(item, axle, turns_between(row, duration), start, low)
         axle[_STAMP] = "sampled"
     scene.frame_set(previous[0], subframe=previous[1])
@@ -116,7 +120,7 @@ def check_speeds(scene: bpy.types.Scene) -> None:
     """
     start, end = frame_range(scene)
     for item in wheel_objects(scene):
-        curve = _angle_curve(item.tactile_clay.wheel_axle)
+        curve = angle_curve(item.tactile_clay.wheel_axle)
         if curve is None or end <= start:
             continue
         angles = np.array([curve.evaluate(frame) for frame in range(start, end + 1)])
@@ -175,11 +179,11 @@ def _write(
     """
     angles = np.concatenate([[0.0], np.cumsum(steps)])
     angles += item.tactile_clay.wheel_phase - angles[start - low]
-    curve = _angle_curve(axle)
+    curve = angle_curve(axle)
     if curve is None:
         axle.animation_data_clear()
         axle.keyframe_insert("rotation_euler", index=2, frame=low)
-        curve = _angle_curve(axle)
+        curve = angle_curve(axle)
         assert curve is not None
     points = curve.keyframe_points
     if len(points) > len(angles):
@@ -198,7 +202,7 @@ def _write(
 # Axles -----------------------------------------------------------------------------------------
 
 
-def _axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.types.Object:
+def ensure_axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.types.Object:
     """The axle of a wheel, made where there is none.
 
     Args:
@@ -238,7 +242,8 @@ def _take_off(item: bpy.types.Object) -> None:
             bpy.data.actions.remove(action)
 
 
-def _angle_curve(axle: bpy.types.Object | None) -> bpy.types.FCurve | None:
+def angle_curve(axle: bpy.types.Object | None) -> bpy.types.FCurve | None:
+    """The curve of an axle's angle, where it is keyed."""
     animation = axle.animation_data if axle is not None else None
     if animation is None or animation.action is None or animation.action_slot is None:
         return None
@@ -248,77 +253,6 @@ def _angle_curve(axle: bpy.types.Object | None) -> bpy.types.FCurve | None:
             if bag is not None:
                 return bag.fcurves.find("rotation_euler", index=2)
     return None
-
-
-# Live ------------------------------------------------------------------------------------------
-
-
-class LiveWheels:
-    """The wheels of a scene whose clay is worked live: they turn by the clock, not the timeline.
-
-    Whoever steps the clay calls `advance` before each step, and tells the solver then where
-    colliders are, as always.
-
-    Args:
-        scene: Until `end` nothing else turns its wheels.
-    """
-
-    def __init__(self, scene: bpy.types.Scene) -> None:
-        refresh(scene)
-        self._uid = scene.session_uid
-        _live.add(self._uid)
-        self._angles = {item.name: axle_angle(item) for item in wheel_objects(scene)}
-
-    def advance(self, scene: bpy.types.Scene, duration: float) -> None:
-        """Turn each wheel on, by what its speed is now.
-
-        Args:
-            scene: The same one; Undo replaces it.
-            duration: Of the step to come [s].
-        """
-        for item in wheel_objects(scene):
-            axle = _axle(item, {i.tactile_clay.wheel_axle for i in scene.objects if i != item})
-            curve = _angle_curve(axle)
-            if curve is not None and not curve.mute:
-                curve.mute = True
-            speed = float(limited(np.array(item.tactile_clay.wheel_speed)))
-            # Whole turns are left out, so that hours of turning lose no precision.
-            before = self._angles.get(item.name, 0.0)
-            angle = math.remainder(before + speed * RATE * duration, math.tau)
-            self._angles[item.name] = angle
-            if abs(axle.rotation_euler[2] - angle) > 1e-6:
-                axle.rotation_euler[2] = angle
-
-    def press_pedal(self, scene: bpy.types.Scene, change: float) -> None:
-        """Make all wheels that have turned faster or slower.
-
-        Args:
-            scene: The same one.
-            change: Of their speed [rpm].
-        """
-        for name in self._angles:
-            item = scene.objects.get(name)
-            if item is not None:
-                item.tactile_clay.wheel_speed += change
-
-    def end(self, scene: bpy.types.Scene) -> None:
-        """Give the wheels back to the timeline, as they stand; once is enough.
-
-        Their phases are set so that they stand like this at the scene's current frame.
-        """
-        if self._uid not in _live:
-            return
-        _live.discard(self._uid)
-        refresh(scene)
-        for item in wheel_objects(scene):
-            curve = _angle_curve(item.tactile_clay.wheel_axle)
-            if curve is None or item.name not in self._angles:
-                continue
-            curve.mute = False
-            behind = self._angles[item.name] - curve.evaluate(scene.frame_current)
-            phase = item.tactile_clay.wheel_phase + behind
-            item.tactile_clay.wheel_phase = math.remainder(phase, math.tau)
-        refresh(scene)
 
 
 # Handlers --------------------------------------------------------------------------------------
@@ -339,7 +273,7 @@ def _on_save(*_: object) -> None:
 
 @persistent
 def _on_load(*_: object) -> None:
-    _live.clear()
+    live_scenes.clear()
 
 
 _HANDLERS = (("frame_change_pre", _on_change), ("save_pre", _on_save), ("load_pre", _on_load))
@@ -359,4 +293,4 @@ def unregister() -> None:
         handlers = getattr(bpy.app.handlers, name)
         if handler in handlers:
             handlers.remove(handler)
-    _live.clear()
+    live_scenes.clear()

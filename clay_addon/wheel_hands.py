@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The two hands of the potter's wheel scene, and what they do: a pot is thrown in 8 seconds.
 
-The potter sits at +Y. Both palms centre the lump; the left hand's fingers open it while the right
-hand holds it together; then the fingers of both, one inside and one outside, squeeze the wall and
-rise with it, twice.
+The potter sits at +Y. Both palms centre the lump; then the two index fingers open it and draw
+apart, so that its wall rises. Whatever one hand does the other does opposite: nothing pushes the
+clay off the axis, and nobody has to steady it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from .hand_reading import hand_armature
 
 HAND_LENGTH = 0.19
 """From wrist to fingertip [m]."""
-LAST_FRAME = 265
-PEDAL = ((1, 0.0), (20, 100.0), (234, 100.0), (260, 0.0))
+LAST_FRAME = 240
+PEDAL = ((1, 0.0), (20, 100.0), (206, 100.0), (236, 0.0))
 """Frames, and the wheel's speed [rpm] there."""
 _FRICTION = 0.03
 """Coulomb friction coefficient of wet hands."""
@@ -41,45 +41,42 @@ _FINGER = replace(
     POSES["point"],
     index=(0.0, 8.0, 6.0, 4.0),
     middle=(0.0, 66.0, 84.0, 36.0),
-    thumb=(10.0, 4.0, 30.0, 20.0, 20.0),
+    thumb=(14.0, 4.0, 30.0, 30.0, 30.0),
 )
-_INSIDE = HandHold(_FINGER, (-0.05, -0.15, -0.99), (1.0, -0.2, 0.0), ("index_tip",))
-_FINGERS = replace(
-    POSES["flat"],
-    index=(-1.0, 10.0, 8.0, 4.0),
-    middle=(0.0, 10.0, 8.0, 4.0),
-    ring=(2.0, 12.0, 10.0, 5.0),
-    little=(5.0, 20.0, 20.0, 10.0),
-    thumb=(-6.0, 10.0, 0.0, 10.0, 8.0),
-)
-_OUTSIDE = HandHold(_FINGERS, (0.10, -0.50, -0.86), (-1.0, 0.0, -0.1), ("index_tip", "middle_tip"))
+_OPEN_RIGHT = HandHold(_FINGER, (0.22, -0.10, -0.97), (0.0, -1.0, 0.1), ("index_tip",))
+_OPEN_LEFT = HandHold(_FINGER, (-0.22, -0.10, -0.97), (0.0, -1.0, 0.1), ("index_tip",))
 
-_RIGHT = (
-    HandKey(1, _CUP_RIGHT, (-0.13, 0.0, 0.08)),
-    HandKey(22, _CUP_RIGHT, (-0.084, 0.0, 0.036)),
-    HandKey(56, _CUP_RIGHT, (-0.0715, 0.0, 0.036)),
-    HandKey(62, _CUP_RIGHT, (-0.0715, 0.0, 0.036)),
-    HandKey(68, _CUP_RIGHT, (-0.0760, 0.0, 0.036)),
-    HandKey(130, _CUP_RIGHT, (-0.0760, 0.0, 0.037)),
-    HandKey(215, _CUP_RIGHT, (-0.0760, 0.0, 0.040)),
-    HandKey(222, _CUP_RIGHT, (-0.0760, 0.0, 0.040)),
-    HandKey(230, _CUP_RIGHT, (-0.092, 0.0, 0.048)),
-    HandKey(265, _CUP_RIGHT, (-0.20, 0.08, 0.14)),
-)
-_LEFT = (
-    HandKey(1, _CUP_LEFT, (0.13, 0.0, 0.08)),
-    HandKey(22, _CUP_LEFT, (0.084, 0.0, 0.036)),
-    HandKey(56, _CUP_LEFT, (0.0715, 0.0, 0.036)),
-    HandKey(62, _CUP_LEFT, (0.0715, 0.0, 0.036)),
-    HandKey(70, _CUP_LEFT, (0.125, 0.01, 0.060)),
-    HandKey(80, _INSIDE, (0.040, 0.02, 0.130)),
-    HandKey(88, _INSIDE, (0.0, 0.0, 0.066)),
-    HandKey(130, _INSIDE, (0.0, 0.0, 0.021)),
-    HandKey(215, _INSIDE, (-0.028, 0.0, 0.021)),
-    HandKey(222, _INSIDE, (-0.028, 0.0, 0.021)),
-    HandKey(232, _INSIDE, (-0.010, 0.0, 0.060)),
-    HandKey(242, _INSIDE, (0.0, 0.01, 0.130)),
-    HandKey(265, _INSIDE, (0.14, 0.10, 0.20)),
+
+def _both(
+    frame: int, right: HandHold, left: HandHold, place: tuple[float, float, float]
+) -> tuple[HandKey, HandKey]:
+    """Hold both hands as in a mirror.
+
+    Args:
+        frame: When.
+        right: How the right hand is held.
+        left: How the left one is.
+        place: Of the left hand's anchor [m].
+    """
+    x, y, z = place
+    return HandKey(frame, right, (-x, y, z)), HandKey(frame, left, (x, y, z))
+
+
+_KEYS = (
+    # They come, and centre the lump.
+    _both(1, _CUP_RIGHT, _CUP_LEFT, (0.130, 0.0, 0.080)),
+    _both(22, _CUP_RIGHT, _CUP_LEFT, (0.084, 0.0, 0.036)),
+    _both(56, _CUP_RIGHT, _CUP_LEFT, (0.0715, 0.0, 0.036)),
+    _both(62, _CUP_RIGHT, _CUP_LEFT, (0.0715, 0.0, 0.036)),
+    _both(70, _CUP_RIGHT, _CUP_LEFT, (0.120, 0.0, 0.060)),
+    # Two fingers open it, and draw apart.
+    _both(78, _OPEN_RIGHT, _OPEN_LEFT, (0.050, 0.0, 0.120)),
+    _both(86, _OPEN_RIGHT, _OPEN_LEFT, (0.010, 0.0, 0.068)),
+    _both(140, _OPEN_RIGHT, _OPEN_LEFT, (0.009, 0.0, 0.022)),
+    _both(186, _OPEN_RIGHT, _OPEN_LEFT, (0.0165, 0.0, 0.022)),
+    _both(192, _OPEN_RIGHT, _OPEN_LEFT, (0.0165, 0.0, 0.022)),
+    _both(206, _OPEN_RIGHT, _OPEN_LEFT, (0.012, 0.0, 0.100)),
+    _both(240, _OPEN_RIGHT, _OPEN_LEFT, (0.150, 0.08, 0.160)),
 )
 
 
@@ -93,7 +90,7 @@ def add_hands(context: bpy.types.Context) -> tuple[bpy.types.Object, ...]:
         The right and the left hand's mesh.
     """
     hands = []
-    for side, keys in (("right", _RIGHT), ("left", _LEFT)):
+    for side, keys in zip(("right", "left"), zip(*_KEYS, strict=True), strict=True):
         item = add_hand(context, side, length=HAND_LENGTH)
         item.tactile_clay.collider_friction = _FRICTION
         armature = hand_armature(item)

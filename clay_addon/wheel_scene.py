@@ -42,7 +42,7 @@ FRAMES_PER_SECOND = 30
 WHEEL_RADIUS = 0.13
 """Of the wheel head [m]."""
 _WHEEL_FRICTION = 2.5
-_WHEEL_ADHESION = 30000.0
+_WHEEL_ADHESION = 60000.0
 """Wet clay sticks to a wheel head: it takes a wire to cut a pot off [Pa]."""
 _CLAY_COLOR = (0.36, 0.165, 0.085)
 """Of red earthenware, linear RGB."""

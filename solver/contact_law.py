@@ -8,8 +8,9 @@ by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and N
 a collider is moved out no faster than `DEPENETRATION_SPEED`.
 
 A collider may be sticky, as a wheel head is to wet clay: what has touched it stays in contact
-until it is off by `MARGIN`, and is pulled back by as much as the adhesion bears. Friction grows with
-that as it does with a load (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 1975).
+until it is off by `MARGIN`, and is pulled back by as much as the adhesion bears. Friction grows
+with that as it does with a load (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53,
+1975).
 
 A soft surface, that of a hand, gives way to what presses it, but later and by a solve of its own.
 A contact with it is a spring in a row with the clay's: its far end is where the surface would be

@@ -42,6 +42,8 @@ SPEED_FLOOR = 1.0
 SPEED_MARGIN = 1.5
 """How much faster than the fastest was inner forces may make a particle: clay that spins,
 bounces or whips trades speed between its parts, and clamping it would cost momentum."""
+_SURROUNDINGS = ("collider_", "contact_", "coarse_", "hand_", "region_")
+"""Parts of a snapshot that are not the clay's own, or follow from where it is."""
 SPEED_MEMORY = 0.5
 """How long the clay may remember the speed it had, to bounce back with it [s]."""
 
@@ -399,6 +401,23 @@ class Solver:
         self._regions.restore(snapshot)
         self._model.restore(snapshot)
         self._contacts.restore(snapshot)
+
+    def restore_clay(self, snapshot: dict[str, NDArray]) -> None:
+        """Take up the clay of a state, but not what touches it: colliders and hands may be others.
+
+        Args:
+            snapshot: Of a solver with the same particles. All clay is awake afterwards.
+
+        Raises:
+            ValueError: It is of other clay, or damaged. The state stays as it is.
+        """
+        state = self.snapshot()
+        for name in state:
+            if not name.startswith(_SURROUNDINGS):
+                if name not in snapshot:
+                    raise ValueError(f"The snapshot has no {name}: it is of another solver.")
+                state[name] = snapshot[name]
+        self.restore(state)
 
 
 def _bytes_held(part: object, seen: set[int]) -> int:

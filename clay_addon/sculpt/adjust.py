@@ -50,3 +50,10 @@ class Adjustment:
         else:
             self.value = min(max(self.value + moved / _STRENGTH_PIXELS, 0.0), 1.0)
         return self.value
+
+    @property
+    def text(self) -> str:
+        """The value for people."""
+        if self.name == "radius":
+            return f"Radius: {self.value * 1e3:.3g} mm"
+        return f"Strength: {self.value:.3f}"

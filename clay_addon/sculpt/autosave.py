@@ -20,6 +20,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
+from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
 from ..simulation import clay_colors, clay_objects, read_points
 
@@ -175,11 +176,9 @@ def _on_load(*_: object) -> None:
 
 def register() -> None:
     """Look for what was left whenever a file is opened."""
-    if _on_load not in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.append(_on_load)
+    add_handlers((("load_post", _on_load),))
 
 
 def unregister() -> None:
     """Look no more."""
-    if _on_load in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(_on_load)
+    remove_handlers((("load_post", _on_load),))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..clay_points import ABSENT
 from ..simulation import clay_colors, read_points
 from .edits import Edit, EditKind, apply_edit
-from .take_files import Edit as TakeEdit
+from .take_data import Edit as TakeEdit
 from .take_frames import nearest
 
 FIRST_COLOR = "clay_first_color"

@@ -119,14 +119,16 @@ def _leave_out(film: bpy.types.Scene, source: bpy.types.Scene, gone: set[bpy.typ
         for child in list(collection.children):
             if not any(item in gone for item in child.all_objects):
                 continue
+            own = child
             if child.get(_MARK) is None:
-                own = child.copy()
+                own = replaced[child] = child.copy()
                 own[_MARK] = True
                 collection.children.unlink(child)
                 collection.children.link(own)
-                replaced[child] = own
-                child = own
-            thin(child)
+            thin(own)
+            if own != child and not own.all_objects:
+                # It held nothing but what the film goes without.
+                bpy.data.collections.remove(replaced.pop(child))
 
     thin(film.collection)
     if replaced:

@@ -6,7 +6,9 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
+from ..look import show_colors
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
@@ -15,6 +17,8 @@ from .session_checks import SculptError
 
 _TICK_SECONDS = 1.0 / 120.0
 """Twice the rate of steps, so that the solver hardly waits for the next tick."""
+_PEDAL = {"PAGE_UP": 10.0, "PAGE_DOWN": -10.0}
+"""Keys that make a potter's wheel faster and slower [rpm]."""
 _COMPILING_AFTER = 0.5
 """Getting ready for longer than this [s] means that kernels are being compiled."""
 
@@ -52,6 +56,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         except SculptError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        show_colors()
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK_SECONDS, window=context.window)
         manager.modal_handler_add(self)
@@ -73,6 +78,9 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 return {"PASS_THROUGH"}
             if brush.handle(context, event, running.positions):
                 redraw(context)
+                return {"RUNNING_MODAL"}
+            if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
+                running.wheels.press_pedal(context.scene, _PEDAL[event.type])
                 return {"RUNNING_MODAL"}
             if event.type == "ESC" and event.value == "PRESS":
                 return self._end(context)
@@ -173,7 +181,8 @@ def status_text(running: SculptSession, brush: Brush) -> str:
         )
     factor = round(10.0 * running.factor)
     pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
-    return f"Sculpting{pace}   {brush.status_text()}"
+    pedal = "   Page Up, Page Down: wheel faster, slower" if running.wheels else ""
+    return f"Sculpting{pace}   {brush.status_text()}{pedal}"
 
 
 def redraw(context: bpy.types.Context) -> None:
@@ -222,18 +231,12 @@ def register() -> None:
     """Register the operators and the handlers."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
     """End a session that runs; take all away."""
     session.stop(bpy.context)
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

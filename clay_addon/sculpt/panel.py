@@ -15,6 +15,7 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
     """Working clay live."""
 
     bl_label = "Sculpt"
+    bl_order = 1
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Clay"

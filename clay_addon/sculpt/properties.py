@@ -10,6 +10,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
+from ..app_handlers import add_handlers, remove_handlers
 from ..simulation import clay_objects
 from ..tool_presets import ToolPreset, ToolPresetError
 from ..tool_stamp import stamp_from_object
@@ -126,7 +127,6 @@ class SceneSource:
             mirror_frame=mirror_frame(clay, scale),
             color=(*properties.color, 1.0),
             spacing=clay[0].tactile_clay.spacing * scale if clay else self._last.spacing,
-            down=_down(scene),
             scale=scale,
             stamp=stamp,
             stamp_key=key,
@@ -192,15 +192,6 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     return frame
 
 
-def _down(scene: bpy.types.Scene) -> tuple[float, float, float]:
-    gravity = np.array(scene.gravity, np.float64)
-    size = float(np.linalg.norm(gravity))
-    if not scene.use_gravity or size < 1e-6:
-        return (0.0, 0.0, -1.0)
-    x, y, z = gravity / size
-    return (float(x), float(y), float(z))
-
-
 _held: dict[str, dict[str, Any]] = {}
 
 
@@ -242,19 +233,13 @@ _HANDLERS = (
 
 def register() -> None:
     """Register the properties and hang them on scenes."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
     bpy.utils.register_class(ClaySculptProperties)
     bpy.types.Scene.tactile_clay_sculpt = bpy.props.PointerProperty(type=ClaySculptProperties)
 
 
 def unregister() -> None:
     """Take the properties away; what a .blend keeps stays in it."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    remove_handlers(_HANDLERS)
     del bpy.types.Scene.tactile_clay_sculpt
     bpy.utils.unregister_class(ClaySculptProperties)

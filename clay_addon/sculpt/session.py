@@ -32,6 +32,7 @@ from ..simulation import (
     read_points,
     solver_device,
 )
+from ..wheel_live import LiveWheels
 from .autosave import Autosave
 from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
@@ -110,6 +111,7 @@ class SculptSession:
             self._worker.close()
             raise SculptError(str(error)) from error
         self.autosave = Autosave()
+        self.wheels = LiveWheels(context.scene)
         self._touch = LiveTouch()
         self._closing.enter_context(paused())
         self._closing.enter_context(own_touch())
@@ -213,6 +215,7 @@ class SculptSession:
 
     def _begin_step(self, context: bpy.types.Context, duration: float) -> None:
         with self.budget.measured("feed"):
+            self.wheels.advance(context.scene, duration)
             try:
                 self.simulation.follow(context.evaluated_depsgraph_get())
             except SimulationError:
@@ -336,6 +339,8 @@ class SculptSession:
     def _take_back(self, context: bpy.types.Context) -> None:
         scene = context.scene
         self._taken_back = self._changed = False
+        # They stand as they did then, and so does the clay on them.
+        self.wheels = LiveWheels(scene)
         self._begin_build(context, state=self.undo.state(scene), goes_on=False)
         self._take.rewind(self.undo.mark(scene), self.simulation)
 
@@ -358,7 +363,7 @@ class SculptSession:
             state: A state of the solver to take up, where that still fits.
             goes_on: Whether this is what comes next, and not what was before.
         """
-        before = [part.name for part in self.simulation.parts] if self._structure else []
+        before = self.simulation if self._structure else None
         self._structure = structure(context.scene)
         self._tool_key = self.tools.mesh_key
         self.simulation = simulation = Simulation(context, live=True)
@@ -368,12 +373,15 @@ class SculptSession:
             collider = prepared.add_mesh(mesh.vertices, mesh.faces, friction=mesh.friction)
             collider.set_enabled(False)
             self._colliders.append(collider)
+        carried = None
+        if state is None and goes_on and before is not None:
+            carried = self._carried(before, simulation)
         self.positions = self._kept = np.concatenate(simulation.rest)
 
         if goes_on:
             self._take.rebuilt(simulation, self.tools.meshes())
         if self._surface is not None:
-            if before != [part.name for part in simulation.parts]:
+            if before is None or before.parts != simulation.parts:
                 self._close_surface()
             else:
                 self._offer_surface(context.scene)
@@ -386,12 +394,34 @@ class SculptSession:
             simulation.build(prepared, self._device)
             assert simulation.solver is not None
             if state is not None:
-                # If colliders came or went since, the clay is where it was, but at rest.
-                with suppress(KeyError, ValueError):
+                try:
                     simulation.restore(state)
+                except (KeyError, ValueError):
+                    # Colliders came or went since.
+                    with suppress(ValueError):
+                        simulation.solver.restore_clay(state)
+            elif carried is not None:
+                with suppress(ValueError):
+                    simulation.solver.restore_clay(carried)
             return step(simulation.solver, 0.0, (), ())
 
         self._worker.begin(build)
+
+    def _carried(self, before: Simulation, after: Simulation) -> dict[str, NDArray] | None:
+        """The solver's state where the clay is the same, and only what works it is not.
+
+        Cuts stay open and clay stays tense when another tool is taken. A solver that is built from
+        points alone bonds whatever lies close.
+        """
+        if before.solver is None or self._worker.busy:
+            return None
+        clay = [(each.parts, each.materials, each.spacing, each.scale) for each in (before, after)]
+        if clay[0] != clay[1]:
+            return None
+        rest = np.concatenate(after.rest)
+        if float(np.abs(rest - self.positions).max(initial=0.0)) > 0.01 * after.spacing:
+            return None
+        return before.solver.snapshot()
 
     # The surface --------------------------------------------------------------------------------
 
@@ -429,6 +459,7 @@ class SculptSession:
                 if scene is not None:
                     # What is kept is the clay itself, and not what stands for it.
                     self._close_surface()
+                    self.wheels.end(scene)
                     stepped = None
                     # What went wrong in the last step is told by `tick`.
                     with suppress(Exception):

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from .. import bake_operators
+from .. import bake_operators, delivery_operators
+from ..delivery_object import delivered_object
 from ..pack import is_packed
 from ..preferences import missing_parts
 from ..simulation import clay_objects
@@ -23,8 +24,13 @@ def check_free(scene: bpy.types.Scene) -> None:
     """
     for sentence in missing_parts():
         raise SculptError(sentence)
-    if bake_operators.running is not None:
+    if bake_operators.running is not None or delivery_operators.running is not None:
         raise SculptError("A bake is running. Press Esc to stop it first.")
+    if delivered_object(scene) is not None:
+        raise SculptError(
+            "What was delivered is shown in place of the clay. Press Show Clay Again first (Clay > "
+            "Delivery)."
+        )
     if bpy.app.is_job_running("RENDER"):
         raise SculptError("Blender is rendering. Sculpt when it has done.")
     for item in clay_objects(scene):

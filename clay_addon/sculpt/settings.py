@@ -44,8 +44,6 @@ class BrushSettings:
     """Of paint and new clay, linear RGBA."""
     spacing: float = 0.005
     """Distance of neighbouring particles [m]."""
-    down: tuple[float, float, float] = (0.0, 0.0, -1.0)
-    """Unit vector of gravity; straight down where there is none."""
     scale: float = 1.0
     """Metres in a Blender unit."""
     stamp: ToolPreset | None = None

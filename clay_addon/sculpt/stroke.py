@@ -35,6 +35,9 @@ _WAIT = 0.4
 """A tool does not wait longer than this for its direction [s]."""
 PINCH_OPEN = 1.6
 """Half the distance of the axes of two fingers before they close [brush radii]."""
+PINCH_LEAN = np.radians(30.0)
+"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
+comes along when they rise."""
 _PINCH_SPEED = 0.12
 """How fast two fingers close [m/s]."""
 
@@ -53,6 +56,7 @@ class Stroke:
         x: From the region's left edge [pixels].
         y: From its lower edge [pixels].
         sole: How far the tool reaches sideways [m]; the brush's radius where that is more.
+        pressure: Of the pen, 0 to 1; 1 for a mouse.
 
     Raises:
         LookupError: There is no clay in front of the eye.
@@ -67,6 +71,7 @@ class Stroke:
         y: float,
         *,
         sole: float = 0.0,
+        pressure: float = 1.0,
     ) -> None:
         self.settings = settings
         self.tool = settings.tool
@@ -87,6 +92,8 @@ class Stroke:
         self.tip = first.point - self.depth * first.normal
         self.gap = PINCH_OPEN * settings.radius
         """Half the distance of two fingers' axes [m]."""
+        self.direction: NDArray[np.float64] | None = None
+        """Unit vector along which a tool that had to know it has set out, shape [3]."""
         self.rolled = 0.0
         """Angle that a tool that rolls has turned [rad]."""
         self.enabled = False
@@ -94,7 +101,7 @@ class Stroke:
         self.released = False
         """Whether the button is up again."""
         self._queue: deque[Waypoint] = deque()
-        self._pressure = 1.0
+        self._pressure = pressure
         self._extra = 0.0
         self._lingered = 0.0
         self._standing = False
@@ -114,7 +121,8 @@ class Stroke:
         if self.tool.path == "view":
             return 0.0
         deep = self.tool.depth * self.settings.strength * self._pressure
-        return deep * self.settings.radius + self._extra
+        # Fingers close before they pull.
+        return deep * self.settings.radius + (0.0 if self._closing else self._extra)
 
     @property
     def finished(self) -> bool:
@@ -198,7 +206,8 @@ class Stroke:
     def closed_gap(self) -> float:
         """Half the distance of two fingers' axes when they hold clay [m]."""
         thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
-        return self.tool.size * self.settings.radius + thin
+        # The fingertips are round, and lean, so they meet above the points that are posed.
+        return self.tool.size * self.settings.radius * (1.0 - np.sin(PINCH_LEAN)) + thin
 
     @property
     def _closing(self) -> bool:
@@ -212,7 +221,8 @@ class Stroke:
         way = (self._queue[-1] if self._queue else self.base).point - self.base.point
         if float(np.linalg.norm(way)) > _DIRECTED * self.settings.radius:
             self._tangent = tangent_of(way, self.base.normal, self._tangent)
-        elif self._waited < _WAIT and not self.released:
+            self.direction = way / float(np.linalg.norm(way))
+        elif not self.released and (self._waited < _WAIT or self.tool.held):
             return True
         self._undirected = False
         return False

@@ -31,7 +31,7 @@ def structure(scene: bpy.types.Scene) -> Hashable:
             parts += [getattr(properties, name) for name in _MATERIAL]
         elif role == "COLLIDER":
             parts += [properties.collider_kind, properties.collider_friction]
-            parts.append(len(item.data.vertices))
+            parts += [properties.collider_adhesion, len(item.data.vertices)]
         elif role == "HAND":
             parts += [properties.collider_friction, len(item.data.vertices)]
     parts += [scene.unit_settings.scale_length, scene.use_gravity, tuple(scene.gravity)]

@@ -25,26 +25,17 @@ from ..bake_checks import BakeError, owner_of, resolve_directory
 from ..cache import Cache, CacheError, Meta
 from ..preferences import ADDON_VERSION
 from ..simulation import Simulation, clay_colors, frames_per_second
-from .take_files import (
-    Layout,
-    Steps,
-    TakeHeader,
-    ToolShape,
-    write_header,
-    write_start,
-    write_steps,
-    write_tool,
-)
+from .take_data import TakeHeader, ToolShape
+from .take_files import write_header, write_start, write_tool
 from .take_frames import TakeFrames
 from .take_pose import Moment, followed, pose_now
+from .take_steps import TakeSteps
 from .take_store import Stored, store_take
 from .take_writer import TakeWriter
 
 if TYPE_CHECKING:
     from .settings import ToolMesh
 
-SECONDS_AT_RISK = 2.0
-"""So much simulated time goes into one file [s]."""
 _NUMBER = re.compile(r"(.*)_take_\d{3,}")
 
 
@@ -76,15 +67,8 @@ class TakeRecorder:
         """Simulated time since the beginning [s]."""
         self.warnings: list[str] = []
         """What a person should know of the take."""
-        self._layout = followed(scene)
         self._moment: Moment | None = None
-        self._rows: list[Moment] = []
-        self._times: list[float] = []
-        self._events: list[dict[str, Any]] = []
-        self._count = 0
         self._edits = 0
-        self._files = 0
-        self._unwritten: dict[int, Steps] = {}
         self._tool_numbers: dict[bytes, int] = {}
         self._positions = simulation.positions()
         self._colors = simulation.colors
@@ -101,6 +85,7 @@ class TakeRecorder:
         cache.begin(meta, self._colors)
         self._writer = TakeWriter()
         self._frames = TakeFrames(self._writer, cache, meta)
+        self._steps = TakeSteps(directory, self._writer, followed(scene))
 
     @classmethod
     def begin(
@@ -163,8 +148,9 @@ class TakeRecorder:
                 number = self._tool_numbers[key] = len(self._tool_numbers)
                 self._write(partial(write_tool, self.directory, number, tool))
             numbers.append(self._tool_numbers[key])
-        if tuple(numbers) != self._layout.tools:
-            self._change(replace(self._layout, tools=tuple(numbers)))
+        if tuple(numbers) != self._steps.layout.tools:
+            self._steps.follow(replace(self._steps.layout, tools=tuple(numbers)))
+            self._moment = None
 
     def look(
         self,
@@ -179,11 +165,11 @@ class TakeRecorder:
                 whether the clay feels it.
         """
         try:
-            self._moment = pose_now(self._layout, depsgraph, list(tools))
+            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
         except (LookupError, ReferenceError):
             # Colliders or hands came or went.
-            self._change(followed(depsgraph.scene.original, self._layout.tools))
-            self._moment = pose_now(self._layout, depsgraph, list(tools))
+            self._steps.follow(followed(depsgraph.scene.original, self._steps.layout.tools))
+            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
 
     def step(
         self,
@@ -201,15 +187,14 @@ class TakeRecorder:
         if not duration > 0.0:
             return
         if self._moment is None:
-            self.look(bpy.context.evaluated_depsgraph_get())
+            idle = [(np.eye(4), False)] * len(self._steps.layout.tools)
+            self.look(bpy.context.evaluated_depsgraph_get(), idle)
         before, self._positions = self._positions, np.array(positions, np.float32)
         self._colors = self._colors if colors is None else np.array(colors, np.float32)
         began = self.seconds
         self.seconds = began + duration
         self._take_row()
         self._frames.step(began, duration, before, self._positions)
-        if self._times[-1] - self._times[0] >= SECONDS_AT_RISK:
-            self._flush()
 
     def edit(self, kind: str, parameters: Mapping[str, Any]) -> None:
         """Note a change to the particles themselves; `rebuilt` comes next.
@@ -217,10 +202,10 @@ class TakeRecorder:
         Args:
             kind: What was done, as the registry of edits calls it.
             parameters: How, whatever the spacing: numbers, texts, lists and arrays of them. Lengths
-                in Blender units, world space.
+                in metres, world space.
         """
         self._edits += 1
-        self._event(
+        self._steps.event(
             {
                 "event": "edit",
                 "time": self.seconds,
@@ -256,7 +241,7 @@ class TakeRecorder:
             simulation: As it is after Undo.
         """
         self._edits = mark.edits
-        self._event({"event": "rewind", "time": mark.seconds, "edits": mark.edits})
+        self._steps.event({"event": "rewind", "time": mark.seconds, "edits": mark.edits})
         self.seconds = mark.seconds
         self._frames.rewind(mark.seconds)
         self.rebuilt(simulation)
@@ -268,37 +253,9 @@ class TakeRecorder:
 
     def _take_row(self) -> None:
         assert self._moment is not None
-        self._rows.append(self._moment)
-        self._times.append(self.seconds)
+        if self._steps.add(self._moment, self.seconds):
+            self._frames.tell_end()
         self._moment = None
-
-    def _event(self, event: dict[str, Any]) -> None:
-        self._events.append({"after": self._count + len(self._rows), **event})
-        self._flush()
-
-    def _change(self, layout: Layout) -> None:
-        self._flush()
-        self._layout = layout
-
-    def _flush(self) -> None:
-        """Hand over what was noted."""
-        if not self._rows and not self._events:
-            return
-        rows = self._rows or [_nothing(self._layout)]
-        columns = [np.stack(column)[: len(self._rows)] for column in zip(*rows, strict=True)]
-        moment = Moment(*columns)
-        steps = Steps(self._layout, np.array(self._times), *moment, self._events)
-        number, self._files = self._files, self._files + 1
-        self._unwritten[number] = steps
-        self._count += len(self._rows)
-        self._rows, self._times, self._events = [], [], []
-
-        def write() -> None:
-            write_steps(self.directory, number, steps)
-            self._unwritten.pop(number, None)
-
-        self._write(write)
-        self._frames.tell_end()
 
     def _write(self, task: Callable[[], None]) -> None:
         # Before the frames that wait: those can be made anew.
@@ -308,7 +265,7 @@ class TakeRecorder:
 
     def leave(self) -> None:
         """End the take on the disk alone, where its scene is gone; Recover Take finds it there."""
-        self._flush()
+        self._steps.flush()
         self._frames.last(self.seconds, self._positions)
         with suppress(CacheError):
             self._writer.close()
@@ -326,7 +283,7 @@ class TakeRecorder:
         Raises:
             TakeError: Nothing was recorded.
         """
-        self._flush()
+        self._steps.flush()
         self._frames.last(self.seconds, self._positions)
         header = replace(self.header, seconds=self.seconds)
         colors = self._colors_shown(scene)
@@ -341,7 +298,7 @@ class TakeRecorder:
             )
         if self.seconds == 0.0:
             raise TakeError("Nothing was recorded: the clay never moved on.")
-        stored = store_take(scene, self.directory, unwritten=self._unwritten)
+        stored = store_take(scene, self.directory, unwritten=self._steps.unwritten)
         return stored._replace(warnings=(*self.warnings, *stored.warnings))
 
     def _colors_shown(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
@@ -365,19 +322,6 @@ def free_directory(scene: bpy.types.Scene) -> Path:
     while (path := cache.parent / f"{base}_take_{number:03d}").exists():
         number += 1
     return path
-
-
-def _nothing(layout: Layout) -> Moment:
-    """A row of what a layout follows, for its shapes."""
-    bones = sum(len(names) for _, names in layout.armatures)
-    return Moment(
-        np.zeros((len(layout.objects), 4, 4), np.float32),
-        np.zeros((bones, 4, 4), np.float32),
-        np.zeros(len(layout.armatures), np.float32),
-        np.zeros(len(layout.colliders), bool),
-        np.zeros((len(layout.tools), 4, 4), np.float32),
-        np.zeros(len(layout.tools), bool),
-    )
 
 
 def _listed(value: object) -> object:

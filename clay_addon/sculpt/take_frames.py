@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..cache import Cache, CacheError, ClaySlice, Frame, Meta
 from ..particle_grid import ParticleGrid
-from .take_files import frame_count
+from .take_data import frame_count
 from .take_writer import TakeWriter
 
 _EPSILON = 1e-9

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..collider import TAKE_TOOL
 from ..keyed_channels import CONSTANT, Channel, needed, write_channels
 from ..tracking.armature import CONTACT_PROPERTY
-from .take_files import Layout, Steps, Take, ToolShape, frame_count
+from .take_data import Layout, Steps, Take, ToolShape, frame_count
 
 TOOL_COLLECTION = "Take Tools"
 _NUMERIC_NOISE = 1e-6
@@ -207,28 +207,17 @@ def _tracks(
 
 def _key_tools(scene: bpy.types.Scene, take: Take, clock: _Clock, name: str) -> list[str]:
     """Make colliders of the tools that the clay felt."""
-    collection = _tool_collection(scene)
+    _remove_tools(scene)
     poses = _tracks(take.steps, "tool_poses", lambda layout: layout.tools)
-    touches = _tracks(take.steps, "tool_enabled", lambda layout: layout.tools)
     made = []
-    last = take.steps[-1]
-    for number, track in touches.items():
-        if not track.values.any():
+    for number in poses:
+        felt = _felt(take.steps, number)
+        if not felt.values.any():
             continue
         item = _tool_object(take.tools[number], scene, f"{name} tool")
-        collection.objects.link(item)
+        _tool_collection(scene).objects.link(item)
         matrices = np.asarray(poses[number].values, np.float64).copy()
         matrices[:, :3, 3] /= take.header.unit_scale
-        felt = _Track(track.times, track.values)
-        if number not in last.layout.tools:
-            # It was put down before the end.
-            after = next(
-                (part.times[0] for part in take.steps if part.times[0] > track.times[-1]),
-                track.times[-1],
-            )
-            felt = _Track(np.append(felt.times, after), np.append(felt.values, False))
-        if track.times[0] > 0.0:
-            felt = _Track(np.append(0.0, felt.times), np.append(False, felt.values))
         channels = [
             *clock.transform(_Track(poses[number].times, matrices), item),
             *clock.number("tactile_clay.collider_enabled", felt, CONSTANT),
@@ -236,6 +225,17 @@ def _key_tools(scene: bpy.types.Scene, take: Take, clock: _Clock, name: str) -> 
         write_channels(item, f"{name} {item.name}", channels)
         made.append(item.name)
     return made
+
+
+def _felt(parts: Sequence[Steps], number: int) -> _Track:
+    """When the clay felt a tool: not while another one was in the mouse."""
+    times, values = [], []
+    for part in parts:
+        tools = part.layout.tools
+        there = number in tools
+        times.append(part.times if there else part.times[:1])
+        values.append(part.tool_enabled[:, tools.index(number)] if there else np.zeros(1, bool))
+    return _Track(np.concatenate(times), np.concatenate(values))
 
 
 def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.types.Object:
@@ -246,7 +246,8 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
     item[TAKE_TOOL] = True
     # The film shows what the tool does, as the session did.
     item.hide_render = True
-    item.display_type = "WIRE"
+    # Its wires would hide the dent that it leaves.
+    item.display_type = "BOUNDS"
     properties = item.tactile_clay
     properties.role = "COLLIDER"
     properties.collider_kind = "MESH"
@@ -254,13 +255,19 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
     return item
 
 
-def _tool_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of tools, without those of an earlier take."""
+def _remove_tools(scene: bpy.types.Scene) -> None:
+    """Remove the tools of an earlier take; its folder still has them."""
     for collection in scene.collection.children:
         if collection.get(TAKE_TOOL):
             for item in list(collection.objects):
                 if item.get(TAKE_TOOL):
                     bpy.data.objects.remove(item)
+
+
+def _tool_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """The collection of tools."""
+    for collection in scene.collection.children:
+        if collection.get(TAKE_TOOL):
             return collection
     collection = bpy.data.collections.new(TOOL_COLLECTION)
     collection[TAKE_TOOL] = True

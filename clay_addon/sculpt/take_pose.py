@@ -14,7 +14,7 @@ from ..collider import TAKE_TOOL
 from ..hand import hand_objects
 from ..simulation import collider_objects, is_enabled
 from ..tracking.armature import CONTACT_PROPERTY
-from .take_files import Layout
+from .take_data import Layout
 
 
 class Moment(NamedTuple):

@@ -16,7 +16,8 @@ from ..clay_points import SCULPTED_MARK
 from ..playback import refresh
 from ..simulation import clay_objects
 from .film_edits import edits_of_text, edits_text
-from .take_files import Edit, Steps, read_take
+from .take_data import Edit, Steps
+from .take_files import read_take
 from .take_keys import key_take
 
 _COARSEST = 1 / 60

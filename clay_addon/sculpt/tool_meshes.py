@@ -13,8 +13,6 @@ from .tools import Tool
 
 _PADS = (1.0, 1.5, 1.0)
 """Fingers that pinch are broad, as the pads of thumb and finger are, so that clay stays between."""
-_ROUGH = 50.0
-"""Friction of the board that holds the clay: with clay of .5 it makes 5, so weight holds well."""
 WIRE_LENGTH = 1.0
 """Of a wire's mesh [m]; its pose stretches it."""
 _WIRE_THICKNESS = 0.9
@@ -23,6 +21,8 @@ _WIRE_THICKNESS = 0.9
 
 def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
     """The meshes of a tool and no copies: two for a pinch, none for an edit.
+
+    One that is held against has a plate after it.
 
     Args:
         settings: What the brush is set to.
@@ -34,7 +34,7 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
     if tool.path == "edit":
         return []
     if tool.path == "view":
-        return [_wire(settings.spacing), _board()]
+        return [_wire(settings.spacing), _fence()]
     preset = settings.stamp if tool.identifier == "STAMP" else None
     if preset is None:
         assert tool.preset is not None
@@ -44,6 +44,8 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
         vertices = vertices * _PADS
     friction = preset.friction if tool.friction is None else tool.friction
     mesh = ToolMesh(vertices, preset.faces, friction)
+    if tool.held:
+        return [mesh, _fence()]
     return [mesh, mesh] if tool.path == "pinch" else [mesh]
 
 
@@ -56,7 +58,7 @@ def sole_radius(parts: list[ToolMesh], radius: float) -> float:
     """How far a tool reaches sideways near the clay [m].
 
     Args:
-        parts: What `tool_parts` gave.
+        parts: What `tool_parts` gave, without a plate.
         radius: Of the brush that they were made for [m].
     """
     reach = radius
@@ -70,12 +72,14 @@ _preset = lru_cache(load_tool_preset)
 
 
 def is_aligned(tool: Tool) -> bool:
-    """Whether a tool has to be turned along the stroke before it meets the clay."""
+    """Whether the stroke's direction must be known before a tool meets the clay."""
+    if tool.held:
+        return True
     return tool.preset is not None and _preset(tool.preset).align == "stroke"
 
 
-def _board() -> ToolMesh:
-    """A rough plate that holds the clay while a wire is drawn through it: who cuts, holds.
+def _fence() -> ToolMesh:
+    """A plate that holds against a blade on the far side of the clay: who cuts, holds.
 
     A box of 1 m, the middle of its upper side at the origin; its pose sizes it.
     """
@@ -84,7 +88,7 @@ def _board() -> ToolMesh:
         (0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4),
         (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2), (1, 3, 7), (1, 7, 5),
     ]  # fmt: skip
-    return ToolMesh(corners, np.array(faces, np.int32), friction=_ROUGH)
+    return ToolMesh(corners, np.array(faces, np.int32))
 
 
 def _wire(spacing: float) -> ToolMesh:

@@ -9,20 +9,16 @@ from numpy.typing import NDArray
 from .mirror import mirror_matrices, snap_to_planes, used_copies
 from .rigid import frame_of, turn_about
 from .settings import BrushSettings
-from .stroke import PINCH_OPEN
+from .stroke import PINCH_LEAN, PINCH_OPEN
 from .tool_meshes import WIRE_LENGTH
 
-_LIFT = -0.4
-_BELOW = 1.5
-"""Height of a board's top over the middle of the lowest particles, which lie half a spacing over
-what carries them: holding, and before [spacings]."""
+_TOUCHING = 0.5
+_OFF = 2.0
+"""From the farthest particles' centres to the plate that holds them: held, and not [spacings]."""
 
 
-_LEANING = np.radians(30.0)
 _LEAN = np.eye(4)
-_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), _LEANING)
-"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
-comes along when they rise."""
+_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), PINCH_LEAN)
 
 
 def part_poses(
@@ -37,7 +33,7 @@ def part_poses(
 
     Args:
         settings: Of the brush.
-        parts: Number of meshes.
+        parts: Number of meshes, without a plate.
         made_radius: The radius that the meshes were made for [m].
         gap: Half the distance of two fingers' axes [m]; wide open where not given.
         rolled: Angle that a tool that rolls has turned about X [rad].
@@ -47,7 +43,7 @@ def part_poses(
     sized = np.diag([radius / made_radius] * 3 + [1.0])
     if settings.tool.path == "view":
         # From any place of the clay to well out of it on either side.
-        return [np.diag([1.0, 1.0, 4.0 * max(extent, radius) / WIRE_LENGTH, 1.0])]
+        return [np.diag([1.0, 1.0, 2.2 * max(extent, radius) / WIRE_LENGTH, 1.0])]
     if settings.tool.path == "pinch":
         away = PINCH_OPEN * radius if gap is None else gap
         return [
@@ -91,26 +87,31 @@ def copy_poses(
     return [(matrix @ pose @ part, enabled and used) for matrix, used in copies for part in parts]
 
 
-def board_pose(
-    settings: BrushSettings, positions: NDArray[np.floating], lifted: bool
+def fence_pose(
+    settings: BrushSettings,
+    positions: NDArray[np.floating],
+    direction: NDArray[np.float64],
+    felt: bool,
 ) -> NDArray[np.float64]:
-    """Where the board under the clay is that holds it while it is cut, shape [4, 4].
+    """Where the plate is that holds the clay while it is cut, shape [4, 4].
+
+    A blade pushes harder than light clay holds to its table by itself. Tools do not meet each
+    other, so the blade passes through the plate.
 
     Args:
         settings: Of the brush.
         positions: The clay when the stroke began [m], shape [N, 3].
-        lifted: Whether it carries the clay, or lies below.
+        direction: Unit vector of the stroke, shape [3].
+        felt: Whether it touches the clay, or stands off.
     """
-    up = -np.array(settings.down)
-    height = positions @ up.astype(np.float32)
     middle = positions.mean(0, dtype=np.float64)
-    # A hair above what the clay lies on, so that it is the board that carries the weight.
-    top = float(height.min()) + (_LIFT if lifted else -_BELOW) * settings.spacing
+    far = float((positions @ direction.astype(np.float32)).max()) - float(middle @ direction)
+    far += (_TOUCHING if felt else _OFF) * settings.spacing
     extent = float(np.ptp(positions, axis=0).max())
-    rotation = frame_of(up, np.eye(3)[np.argmin(np.abs(up))])
     pose = np.eye(4)
-    pose[:3, :3] = rotation * np.array([4.0 * extent, 4.0 * extent, 4.0 * settings.spacing])
-    pose[:3, 3] = middle + (top - float(middle @ up)) * up
+    sizes = np.array([4.0 * extent, 4.0 * extent, 4.0 * settings.spacing])
+    pose[:3, :3] = frame_of(-direction, np.eye(3)[np.argmin(np.abs(direction))]) * sizes
+    pose[:3, 3] = middle + far * direction
     return pose
 
 

@@ -40,6 +40,8 @@ class Tool:
     """Coulomb friction coefficient; its preset's where not given."""
     speed: float = 1.0
     """How fast it moves, for how fast a hand works; clay is tough where it is cut fast."""
+    held: bool = False
+    """Whether a plate holds against it on the far side of the clay, which it would push away."""
     rolls: bool = False
     """Whether it rolls along the stroke instead of sliding."""
     edit: EditKind | None = None
@@ -74,6 +76,7 @@ TOOLS = (
         "anchored",
         "stamp",
         depth=0.8,
+        size=0.5,
     ),
     Tool(
         "KNIFE",
@@ -84,6 +87,7 @@ TOOLS = (
         "surface",
         "knife",
         depth=3.0,
+        held=True,
     ),
     Tool(
         "WIRE",
@@ -93,6 +97,7 @@ TOOLS = (
         "Cut right through, along the line drawn",
         "view",
         speed=0.4,
+        held=True,
     ),
     Tool(
         "LOOP", 9, "Loop", "MESH_TORUS", "Scrape clay off with a loop of ribbon", "surface", "loop"

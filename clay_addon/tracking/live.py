@@ -15,6 +15,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from .. import bake_operators
+from ..app_handlers import add_handlers, remove_handlers
 from . import TrackingError
 from .armature import is_hand, placed, read_target, side_of, write_pose
 from .hand_tracker import HandTracker
@@ -259,12 +260,10 @@ def _on_load(*_: object) -> None:
 
 def register() -> None:
     """Add the handler that ends tracking when another file is opened."""
-    if _on_load not in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.append(_on_load)
+    add_handlers((("load_pre", _on_load),))
 
 
 def unregister() -> None:
     """End tracking, and take the handler away."""
     stop()
-    if _on_load in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.remove(_on_load)
+    remove_handlers((("load_pre", _on_load),))

@@ -16,6 +16,7 @@ class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
     """Which hands are tracked, and how well."""
 
     bl_label = "Tracking"
+    bl_order = 4
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Clay"

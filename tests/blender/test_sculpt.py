@@ -229,7 +229,10 @@ def steps():
     bpy.context.scene.tactile_clay_sculpt.tool = "NONE"
     with in_view():
         assert bpy.ops.clay.tracking_start() == {"FINISHED"}
-    yield lambda: live.session.hand("right") is not None and live.session.hand("right").contact == 1.0
+    def seen():
+        hand = live.session.hand("right")
+        return hand is not None and hand.contact == 1.0
+    yield seen
     start()
     yield moves
     yield lambda: sessions.current.felt > 1.0
@@ -276,7 +279,8 @@ def steps():
     yield lambda: clay().data.get("clay_state") == 1
     pressed = points()
     near = np.linalg.norm(before - place, axis=1) < 0.012
-    print("PRESSED", float(np.linalg.norm(pressed - before, axis=1)[near].max()) > 0.003, flush=True)
+    moved = float(np.linalg.norm(pressed - before, axis=1)[near].max())
+    print("PRESSED", moved > 0.003, flush=True)
     # Turning the view with the middle button.
     rotation = area.spaces.active.region_3d.view_rotation.copy()
     middle = region.x + region.width // 3, region.y + region.height // 3

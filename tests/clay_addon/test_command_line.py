@@ -119,6 +119,20 @@ def test_export_of_a_damaged_frame_is_refused(
     assert "Use one of .stl, .3mf, .obj, .ply, .glb" in capfd.readouterr().err
 
 
+def test_a_keyed_pose_is_exported_without_a_bake(
+    blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """What is keyed needs no bake, so nothing is missing and there is nothing to warn of."""
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    bpy.ops.clay.pose_key()
+    bpy.ops.wm.save_mainfile()
+    capfd.readouterr()
+    assert main(["export", str(blend), "--output", str(tmp_path / "pose.3mf")]) == 0
+    said = capfd.readouterr()
+    assert "watertight" in said.out
+    assert "warning" not in said.err
+
+
 def test_export_of_a_frame_that_is_not_baked_says_what_it_is(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ from tactile_clay.clay_addon.clay_points import ABSENT, SCULPTED_MARK
 from tactile_clay.clay_addon.delivery import DeliveryError, deliver
 from tactile_clay.clay_addon.delivery_files import FrameWriter
 from tactile_clay.clay_addon.delivery_object import delivered_object, remove_delivery
+from tactile_clay.clay_addon.sculpt.session_checks import SculptError, check_free
 from tactile_clay.clay_addon.surface import reconstruct
 
 SPEED = 1.2
@@ -265,9 +266,12 @@ def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_pa
         "clay_000001.usdc",
         "clay_000002.usdc",
     ]
+    with pytest.raises(SculptError, match="Show Clay Again"):
+        check_free(studio.scene)
     (warning,) = bake(bpy.context).warnings
     assert "'Clay Delivery' still plays what was delivered before" in warning
     assert remove_delivery(studio.scene)
+    check_free(studio.scene)
     assert not studio.scene.objects["Clay"].hide_render
     assert not studio.scene.objects["Clay"].hide_get()
     assert len(bpy.data.cache_files) == 0

@@ -182,6 +182,27 @@ def test_export_and_delivery_take_the_pose_that_is_shown(
     assert (result.shapes, result.particle_count) == (2, 8)
 
 
+def test_poses_of_clay_that_moves_are_delivered_where_they_are(
+    studio: Any, clay: Any, tmp_path: Path
+) -> None:
+    """A keyed object takes its held pose along, and the scene's frame stays as it is."""
+    bpy.ops.clay.pose_key()
+    for frame, place in ((1, 0.0), (3, 0.2)):
+        clay.location.x = place
+        clay.keyframe_insert("location", frame=frame)
+    studio.scene.frame_set(2)
+    result = deliver(bpy.context, start=1, end=3, directory=tmp_path / "out")
+    assert result is not None
+    assert result.shapes == 3
+    assert studio.scene.frame_current == 2
+    item = studio.scene.objects["Clay Delivery"]
+    for frame, place in ((1, 0.0), (3, 0.2)):
+        studio.scene.frame_set(frame)
+        mesh = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        middle = np.mean([vertex.co.x for vertex in mesh.vertices])
+        assert middle == pytest.approx(place, abs=1e-3)
+
+
 def test_a_duplicate_keeps_its_own_poses(studio: Any, clay: Any) -> None:
     """Keys of a copy leave those of the original alone."""
     first, second = key_two(studio, clay)

@@ -12,7 +12,7 @@ import trimesh
 
 from tactile_clay.clay_addon.export import export_clay
 from tactile_clay.clay_addon.make_clay import make_clay
-from tactile_clay.clay_addon.print_checks import base_area, check_print, flat_base
+from tactile_clay.clay_addon.print_checks import base_area, check_print, flat_base, untangle
 from tactile_clay.clay_addon.surface import Surface, SurfaceError, reconstruct
 
 
@@ -100,6 +100,21 @@ def test_ordinary_clay_has_no_crossings() -> None:
         found = check_print(reconstruct(points, 1.0), wall=1.0)
         assert found.crossings == 0
         assert found.thin_share < 1e-3
+
+
+def test_a_notch_that_crosses_itself_is_untangled() -> None:
+    """Two balls that touch meet in a notch without crossings, closed and of the same volume."""
+    grid = np.stack(np.meshgrid(*[np.arange(13) - 6.0] * 3, indexing="ij"), -1).reshape(-1, 3)
+    ball = grid[np.linalg.norm(grid, axis=1) < 5]
+    ball += np.random.default_rng(1).normal(0, 0.03, ball.shape)
+    touching = reconstruct(np.concatenate([ball, ball + np.array([9.8, 0, 0])]), 1.0)
+    assert check_print(touching, wall=0).crossings > 0
+    freed = untangle(touching)
+    freed.check()
+    assert check_print(freed, wall=0).crossings == 0
+    assert freed.volume == pytest.approx(touching.volume, rel=1e-3)
+    assert np.linalg.norm(freed.vertices - touching.vertices, axis=1).max() < 0.5
+    assert untangle(freed) is freed
 
 
 def test_export_measures_in_real_millimetres(studio: Any, tmp_path: Any) -> None:

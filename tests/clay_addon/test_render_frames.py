@@ -132,3 +132,24 @@ def test_command_renders_from_a_cache_elsewhere(
         assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in said.err
     assert main(["render", str(shot), "--frames", "1;2"]) == 2
     assert "'1;2' is not a range such as 1-120" in capfd.readouterr().err
+
+
+def test_what_needs_no_bake_is_rendered_without_one(
+    shot: Path, studio: Any, tmp_path: Path
+) -> None:
+    """Frames with a keyed pose, held shapes and a delivery need no baked frame of their own."""
+    studio.scene.tactile_clay.hold_frames = 2
+    (tmp_path / "clay_cache" / "frame_000002.npz").unlink()
+    held = render_frames(bpy.context, [1, 2], output=tmp_path / "held" / "####")
+    assert (pixels(held.files[0]) == pixels(held.files[1])).all()
+    studio.scene.frame_set(1)
+    assert bpy.ops.clay.pose_key() == {"FINISHED"}
+    shutil.rmtree(tmp_path / "clay_cache")
+    posed = render_frames(bpy.context, [4], output=tmp_path / "posed" / "####")
+    assert posed.rendered == 1
+    assert bpy.ops.clay.pose_remove() == {"FINISHED"}
+    with pytest.raises(FrameNotBakedError):
+        render_frames(bpy.context, [4], output=tmp_path / "none" / "####")
+    assert bpy.ops.clay.deliver() == {"FINISHED"}
+    delivered = render_frames(bpy.context, [4], output=tmp_path / "delivered" / "####")
+    assert delivered.rendered == 1

@@ -14,7 +14,8 @@ import pytest
 from tactile_clay.clay_addon.bake import BakeError, bake
 from tactile_clay.clay_addon.collider import make_collider
 from tactile_clay.clay_addon.simulation import Simulation, SimulationError
-from tactile_clay.clay_addon.wheel import LiveWheels, axle_angle, refresh
+from tactile_clay.clay_addon.wheel import axle_angle, refresh
+from tactile_clay.clay_addon.wheel_live import LiveWheels
 from tactile_clay.clay_addon.wheel_speed import RATE, speed_curve
 from tactile_clay.tests.clay_addon.test_bake import frame_bytes
 

@@ -78,6 +78,9 @@ def test_pressure_sets_the_depth(mouse: Mouse) -> None:
     mouse.move(0.001, 0.0, is_tablet=True, pressure=0.5)
     assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(0.05 - 0.003, abs=2e-4)
     mouse = Mouse()
+    mouse.press(is_tablet=True, pressure=0.2)
+    assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(0.05 - 0.0012, abs=2e-4)
+    mouse = Mouse()
     mouse.source.set(use_pressure=False)
     mouse.press(is_tablet=True, pressure=0.1)
     assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(0.044, abs=2e-4)
@@ -205,12 +208,26 @@ def test_a_pinch_closes_holds_and_pulls(mouse: Mouse) -> None:
     mouse.press()
     gaps = [np.linalg.norm(tip(p) - tip(p[1:])) for p in mouse.ticks(120)]
     assert gaps[5] == pytest.approx(2 * 1.6 * 0.012, rel=1e-6)
-    assert gaps[-1] == pytest.approx(2 * (0.6 * 0.012 + 0.5 * SPACING), rel=1e-6)
+    assert gaps[-1] == pytest.approx(2 * (0.5 * 0.6 * 0.012 + 0.5 * SPACING), rel=1e-6)
     assert all(b <= a + 1e-12 for a, b in pairwise(gaps[5:]))
     before = tip(mouse.ticks(1)[0])[2]
     for _ in range(5):
         mouse.send("WHEELUPMOUSE")
     assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(before + 5 * 0.4 * 0.012, abs=2e-4)
+
+
+def test_a_pinch_closes_before_it_pulls(mouse: Mouse) -> None:
+    """Go in and close first, however early the wheel is turned."""
+    mouse.source.set(tool="PINCH")
+    mouse.press()
+    mouse.ticks(2)
+    for _ in range(5):
+        mouse.send("WHEELUPMOUSE")
+    way = mouse.ticks(120)
+    gaps = [np.linalg.norm(tip(p) - tip(p[1:])) for p in way]
+    closed = int(np.argmin(np.abs(np.array(gaps) - gaps[-1]) > 1e-9))
+    assert tip(way[closed])[2] < 0.05 - 0.5 * 0.7 * 0.012
+    assert tip(way[-1])[2] > tip(way[closed])[2] + 0.02
 
 
 def test_shift_pulls_a_pinch_away_from_the_surface(mouse: Mouse) -> None:

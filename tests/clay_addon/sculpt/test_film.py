@@ -191,8 +191,10 @@ def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
     props = bpy.data.collections.new("Props")
     scene.collection.children.link(props)
     lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
-    for each in (lamp, clay):
-        props.objects.link(each)
+    only = bpy.data.collections.new("Only Clay")
+    scene.collection.children.link(only)
+    for collection, each in ((props, lamp), (props, clay), (only, clay)):
+        collection.objects.link(each)
     scene.collection.objects.unlink(clay)
     clay.tactile_clay.yield_stress = 1234.0
     loop = Loop(scene)
@@ -205,6 +207,9 @@ def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
     assert fine.tactile_clay.yield_stress == 1234.0
     assert fine.tactile_clay.spacing == pytest.approx(0.0025)
     assert clay.name not in film.objects and clay.name in scene.objects
+    # Of a collection that holds no more than the clay nothing is left there.
+    assert {each.name for each in film.collection.children} == {"Props.001", "Film"}
+    assert {each.name for each in scene.collection.children} == {"Props", "Only Clay"}
     assert fine.name not in scene.objects
     assert lamp.name in film.objects and lamp.name in scene.objects
     copy = next(each for each in collider_objects(film) if each.name.startswith("Ball"))

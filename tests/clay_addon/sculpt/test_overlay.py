@@ -35,7 +35,7 @@ def test_a_ring_lies_across_the_normal() -> None:
 
 
 def test_what_is_drawn_is_what_the_clay_feels(mouse: Mouse) -> None:
-    """Draw each mesh where its pose is, the wire without the board that holds the clay."""
+    """Draw each mesh where its pose is, the wire without the plate that holds the clay."""
     mouse.move(0.0, 0.0)
     assert mouse.brush.drawn() == []
     (poses,) = mouse.ticks(1)

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.sculpt import header, panel, properties, session
+from tactile_clay.clay_addon.sculpt import header, operators, panel, properties, session
 from tactile_clay.clay_addon.sculpt.properties import SceneSource, stamp_fault
 from tactile_clay.clay_addon.sculpt.tools import TOOLS
 
@@ -27,19 +27,17 @@ def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> No
 
 
 def test_a_scene_is_read_as_it_is_now(studio: Any) -> None:
-    """Take up tool, strength, mirrors, colour, gravity and the clay's spacing and place."""
+    """Take up tool, strength, mirrors, colour and the clay's spacing and place."""
     clay = studio.clay(location=(0.1, 0.2, 0.3))
     brush = studio.scene.tactile_clay_sculpt
     brush.tool, brush.strength, brush.mirror_y = "KNIFE", 0.25, True
     brush.color = (0.1, 0.2, 0.3)
-    studio.scene.gravity = (0.0, 3.0, 0.0)
     settings = SceneSource(studio.scene).read()
     assert settings.tool.identifier == "KNIFE"
     assert settings.strength == 0.25
     assert settings.mirror == (False, True, False)
     assert settings.color == pytest.approx((0.1, 0.2, 0.3, 1.0))
     assert settings.spacing == pytest.approx(0.01)
-    assert settings.down == pytest.approx((0.0, 1.0, 0.0))
     assert np.allclose(settings.mirror_frame[:3, 3], clay.matrix_world.translation)
 
 
@@ -125,22 +123,41 @@ def test_a_tool_shows_what_it_knows(studio: Any, tool: str, compact: bool) -> No
     assert "CLAY_MT_sculpt_tools" in drawn
 
 
+def running_at(factor: float, *, started: bool = True, compiling: float = 0.0) -> Any:
+    """A session that goes at a factor of real time."""
+    return SimpleNamespace(
+        factor=factor,
+        pace=SimpleNamespace(started=started),
+        messages=["Something to say"],
+        wheels=None,
+        compiling_seconds=compiling,
+    )
+
+
 def test_the_panel_offers_to_start_or_to_finish(
     studio: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Show the button that fits, and how fast time goes by."""
     studio.clay()
-    for running, button in (
-        (None, "clay.sculpt"),
-        (SimpleNamespace(factor=0.5), "clay.sculpt_finish"),
-    ):
+    for running, button in ((None, "clay.sculpt"), (running_at(0.5), "clay.sculpt_finish")):
         monkeypatch.setattr(session, "current", running)
         drawn: list[str] = []
-        panel.CLAY_PT_sculpt.draw(SimpleNamespace(layout=Layout(drawn)), bpy.context)
+        drawing: Any = SimpleNamespace(layout=Layout(drawn))
+        panel.CLAY_PT_sculpt.draw(drawing, bpy.context)
         assert button in drawn
-    assert panel.real_time_text(0.5) == "50% of real time"
-    assert panel.real_time_text(0.99) == "Real time"
-    assert panel.real_time_text(0.0) == "Getting ready …"
+    assert panel.speed_text(running_at(0.5)) == "50% of real time"
+    assert panel.speed_text(running_at(0.99)) == "Real time"
+    assert panel.speed_text(running_at(1.0, started=False)) == "Getting ready …"
+
+
+def test_the_status_bar_says_what_goes_on() -> None:
+    """Tell of compiling, of time that goes by slowly, and what the mouse does."""
+    brush: Any = SimpleNamespace(status_text=lambda: "Left mouse: Finger")
+    assert "Compiling the clay's kernels: 8 s" in operators.status_text(
+        running_at(1.0, compiling=8.0), brush
+    )
+    assert operators.status_text(running_at(1.0), brush) == "Sculpting   Left mouse: Finger"
+    assert "at 40 % of real time" in operators.status_text(running_at(0.42), brush)
 
 
 def test_a_tool_is_taken_without_an_undo_step(studio: Any) -> None:

@@ -14,6 +14,7 @@ import trimesh
 from tactile_clay.clay_addon import playback
 from tactile_clay.clay_addon.bake import BakeError, bake
 from tactile_clay.clay_addon.clay_points import is_sculpted
+from tactile_clay.clay_addon.make_clay import make_clay
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.session import SculptSession
@@ -229,6 +230,73 @@ def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpti
     shape = studio.points(clay)
     studio.scene.frame_set(2)
     np.testing.assert_array_equal(studio.points(clay), shape)
+
+
+def test_units_other_than_metres_are_honoured(studio: Any) -> None:
+    """Press as deep in a scene of centimetres as in one of metres."""
+    studio.scene.unit_settings.scale_length = 0.01
+    studio.scene.gravity = (0.0, 0.0, -981.0)
+    clay = make_clay(bpy.context, [studio.block(size=4.0, location=(0.0, 0.0, 2.0))], spacing=1.0)
+    bpy.ops.mesh.primitive_plane_add(size=100.0)
+    assert bpy.ops.clay.collider_add() == {"FINISHED"}
+    finger, clock = Finger(), Clock()
+    work = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+    work.run(0.1)
+    work.press(0.025)
+    work.session.finish(bpy.context)
+    points = studio.points(clay)
+    middle = points[np.linalg.norm(points[:, :2], axis=1) < 1.2]
+    assert 2.3 < float(middle[:, 2].max()) < 2.9
+    assert points[:, 2].min() > 0.3
+
+
+def test_another_tool_leaves_the_clay_as_tense_as_it_is(studio: Any, sculpting: Sculpting) -> None:
+    """Keep bonds, speeds and all that the solver knows of the clay when a tool is changed."""
+    sculpting.run(0.2)
+    sculpting.finger.enabled = sculpting.finger.stroking = True
+    sculpting.finger.height = 0.046
+    sculpting.run(0.1)
+    session = sculpting.session
+    before = session.simulation.snapshot()
+    sculpting.finger.mesh_key = "another"
+    session.tick(bpy.context)
+    session.wait()
+    after = session.simulation.snapshot()
+    np.testing.assert_array_equal(before["neighbor_rest_length"], after["neighbor_rest_length"])
+    np.testing.assert_array_equal(before["velocity"], after["velocity"])
+    np.testing.assert_array_equal(before["position"], after["position"])
+
+
+def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
+    """Turn clay with a wheel by the clock, faster when the pedal is pressed, and let it stand."""
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.06, depth=0.02, location=(0.0, 0.0, -0.01))
+    wheel = bpy.context.object
+    assert bpy.ops.clay.collider_add() == {"FINISHED"}
+    wheel.tactile_clay.wheel_speed = 30.0
+    clay = studio.clay(location=(0.0, 0.0, 0.02))
+    finger, clock = Finger(), Clock()
+    work = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+
+    def direction() -> float:
+        far = studio.points(clay)[0]
+        return float(np.arctan2(far[1], far[0]))
+
+    first = direction()
+    work.run(0.5)
+    # A quarter of a turn, less what it slips while it takes the clay along.
+    turned = np.degrees((direction() - first) % (2.0 * np.pi))
+    assert 70.0 < turned < 95.0
+    work.session.wheels.press_pedal(studio.scene, 30.0)
+    before = direction()
+    work.run(0.25)
+    assert 75.0 < np.degrees((direction() - before) % (2.0 * np.pi)) < 100.0
+    work.session.finish(bpy.context)
+    # The wheel stands as it was left, and goes on by the timeline from there.
+    assert wheel.tactile_clay.wheel_speed == 60.0
+    stands = np.degrees(np.arctan2(wheel.matrix_world[1][0], wheel.matrix_world[0][0])) % 360.0
+    bpy.context.view_layer.update()
+    again = np.degrees(np.arctan2(wheel.matrix_world[1][0], wheel.matrix_world[0][0])) % 360.0
+    assert again == pytest.approx(stands, abs=1.0)
 
 
 def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_path: Path) -> None:

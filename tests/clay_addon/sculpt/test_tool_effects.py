@@ -78,6 +78,19 @@ def test_a_wire_parts_the_block() -> None:
     assert np.linalg.norm(clay - before, axis=1).max() < 2.5 * SPACING
 
 
+def test_a_knife_cuts_and_does_not_push() -> None:
+    """Open a slit to its depth through a light block that lies free, and leave it where it was."""
+    bench = Bench("KNIFE", strength=0.5)
+    before = bench.mouse.clay.copy()
+    bench.stroke((0.0, -0.04), (0.0, -0.03), (0.0, 0.05))
+    clay = bench.mouse.clay
+    assert np.linalg.norm(clay - before, axis=1).max() < 4.0 * SPACING
+    assert np.linalg.norm(clay.mean(0) - before.mean(0)) < 0.5 * SPACING
+    # Half as deep as the block is high: the middle of the upper half is open.
+    high = (clay[:, 2] > 0.004) & (np.abs(clay[:, 1]) < 0.02)
+    assert np.abs(clay[high, 0]).min() > 0.35 * SPACING
+
+
 def test_smoothing_levels_a_bump() -> None:
     """Take most of a bump's height away, and little of the surface around."""
     bench = Bench("SMOOTH", strength=0.5, radius=0.015)
