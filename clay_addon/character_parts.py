@@ -17,7 +17,7 @@ HEAD = 0.095
 _TILT = Matrix.Rotation(radians(-22.0), 4, "X")
 """Makes her look up a little."""
 _BODY = (
-    ("neck", (0.0, 0.06, -0.50), (0.30, 0.28, 0.34)),
+    ("neck", (0.0, 0.00, -0.46), (0.30, 0.36, 0.36)),
     ("body", (0.0, 0.04, -0.84), (0.46, 0.35, 0.38)),
 )
 """Middle and radii of the ellipsoids under the head [heads]."""

@@ -46,14 +46,14 @@ _BLACK = (0.018, 0.015, 0.014)
 _STEEL = (0.35, 0.36, 0.38)
 _RUBBER = (0.30, 0.10, 0.055)
 
-_EYE = (0.195, 1.165)
+_EYE = (0.215, 1.165)
 _BADGE = (0.0, 0.24)
 _EAR = (0.55, 1.09)
 _NOSTRIL = (0.078, 0.880)
 """Places of the left side of her face in the front view: x and z [heads]."""
 _SMILE, _SMILE_RADIUS = (0.0, 0.700), 0.140
 """Where its middle is, likewise, and its bend [heads]."""
-_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.100, 0.062, 0.118, 0.090
+_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.128, 0.078, 0.118, 0.095
 _BERET = (0.42, 0.40, 0.115)
 """Radii [heads]."""
 _STICKINESS = 20000.0
@@ -161,14 +161,15 @@ def _add_tools(
         return made
 
     # Who presses on a head, holds it from behind.
-    behind = skin.met((0.0, 1.0, 1.14 * HEAD), (0.0, -1.0, 0.0))[0]
-    palm = tool("Palm behind", "palm", 0.013, _RUBBER, 0.0)
-    palm.press((behind, Vector((0.0, 1.0, 0.0))), -0.3 * SPACING, (-16, 1, 144, 152))
+    for name, height in (("head", 1.14), ("nape", 0.72)):
+        behind = skin.met((0.0, 1.0, height * HEAD), (0.0, -1.0, 0.0))[0]
+        palm = tool(f"Palm behind, {name}", "palm", 0.012, _RUBBER, 0.0)
+        palm.press((behind, Vector((0.0, 1.0, 0.0))), -0.3 * SPACING, (-16, 1, 144, 152))
 
     eye = _eye(skin)
     for side, spot in (("left", eye), ("right", mirrored(eye))):
-        paddle = tool(f"Paddle, {side}", "paddle", 0.0110, (0.42, 0.22, 0.09), 0.004)
-        paddle.press(spot, -0.080 * HEAD, (4, 34, 40, 52))
+        paddle = tool(f"Paddle, {side}", "paddle", 0.0135, (0.42, 0.22, 0.09), 0.004)
+        paddle.press(spot, -0.105 * HEAD, (4, 34, 40, 52))
 
     beret = pieces[[piece.name for piece in pieces].index("Beret")]
     finger = tool("Finger", "finger", 0.0095, _RUBBER, 0.0045)
@@ -186,7 +187,7 @@ def _add_tools(
     smile = ModellingTool(context, "Bow", bow, friction=0.1, color=_STEEL, handle=0.0030)
     tools.append(smile)
     place, _ = _on(skin, _SMILE)
-    smile.press((place, Vector((0.0, -1.0, 0.0))), 0.080 * HEAD, (58, 78, 82, 98))
+    smile.press((place, Vector((0.0, -1.0, 0.0))), 0.072 * HEAD, (58, 78, 82, 98))
 
     stylus = tool("Stylus", "ball", 0.0052, _STEEL, 0.0032)
     for start, spot in ((108, _on(skin, _NOSTRIL)), (132, mirrored(_on(skin, _NOSTRIL)))):
