@@ -17,7 +17,7 @@ HEAD = 0.095
 _TILT = Matrix.Rotation(radians(-22.0), 4, "X")
 """Makes her look up a little."""
 _BODY = (
-    ("neck", (0.0, 0.06, -0.50), (0.30, 0.28, 0.34)),
+    ("neck", (0.0, 0.00, -0.46), (0.30, 0.36, 0.36)),
     ("body", (0.0, 0.04, -0.84), (0.46, 0.35, 0.38)),
 )
 """Middle and radii of the ellipsoids under the head [heads]."""
@@ -35,10 +35,13 @@ def add_bust(color: Vec3) -> bpy.types.Object:
     bpy.ops.mesh.primitive_monkey_add(size=1.0)
     head = bpy.context.object
     head.data.transform(_TILT)
+    smooth = head.modifiers.new("Smooth", "SUBSURF")
+    smooth.levels = 2
     # Ears must be several particles thick: make her chubby.
     plump = head.modifiers.new("Chubby", "DISPLACE")
-    plump.strength, plump.mid_level = 0.035, 0.0
-    bpy.ops.object.modifier_apply(modifier=plump.name)
+    plump.strength, plump.mid_level = 0.045, 0.0
+    for modifier in (smooth, plump):
+        bpy.ops.object.modifier_apply(modifier=modifier.name)
     items.append(head)
     for _, center, radii in _BODY:
         bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=1.0)

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The character: a bust of Suzanne, modelled with tools from clay of five colours.
+"""The character: a bust of Suzanne, modelled with tools from wax of six colours.
 
-She is blocked out without eyes, mouth or hat. Pellets of other clay have been set on her face and
-chest, and a beret on her head, as lightly as they stick; tools then press the eyes flat, push the
-beret down all around, draw the smile, hollow the ears and print a star. All that the face is in the
-end, clay and tools have done.
+She is blocked out without eyes, mouth or hat. Pellets of other wax have been set on her face and
+chest, and a beret on her head, as lightly as they stick. Tools then press the eyes flat, push the
+beret down all around, print a smile, hollow the ears and press a badge on.
 
 All of it are ordinary objects with modifiers and keyframes, to be changed by hand.
 """
@@ -13,13 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import radians
 
 import bpy
 import numpy as np
 from mathutils import Vector
 
 from .character_parts import HEAD, Skin, add_ball, add_bust
-from .character_tools import ModellingTool, Spot, mirrored
+from .character_tools import ModellingTool, Spot, bow_shape, mirrored
 from .collider import make_collider
 from .kindergarten_parts import Vec3, mesh_object, plain_material
 from .make_clay import make_clay
@@ -31,6 +31,7 @@ from .scene_stage import (
     set_clock_and_units,
     set_render,
 )
+from .tool_presets import load_tool_preset
 
 SPACING = 0.003
 """Distance between particles [m]."""
@@ -45,14 +46,14 @@ _BLACK = (0.018, 0.015, 0.014)
 _STEEL = (0.35, 0.36, 0.38)
 _RUBBER = (0.30, 0.10, 0.055)
 
-_EYE = (0.195, 1.165)
-_STAR = (0.0, 0.24)
+_EYE = (0.215, 1.165)
+_BADGE = (0.0, 0.24)
 _EAR = (0.55, 1.09)
-_NOSTRIL = (0.062, 0.865)
+_NOSTRIL = (0.078, 0.880)
 """Places of the left side of her face in the front view: x and z [heads]."""
-_SMILE = ((0.168, 0.800), (0.125, 0.745), (0.065, 0.710), (0.0, 0.700))
-"""Half of the smile, likewise."""
-_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.100, 0.055, 0.105, 0.090
+_SMILE, _SMILE_RADIUS = (0.0, 0.700), 0.140
+"""Where its middle is, likewise, and its bend [heads]."""
+_EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.128, 0.078, 0.118, 0.095
 _BERET = (0.42, 0.40, 0.115)
 """Radii [heads]."""
 _STICKINESS = 20000.0
@@ -101,13 +102,14 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
     place, out = _eye(skin)
     for side, name in ((1.0, "left"), (-1.0, "right")):
         for kind, height, radius, color in (
+            # Sunk into the eye, which leaves room for it.
+            ("Pupil", 1.7 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
             ("Eye", 0.85 * _EYE_RADIUS, _EYE_RADIUS, _WHITE),
-            ("Pupil", 1.8 * _EYE_RADIUS + _PUPIL_RADIUS, _PUPIL_RADIUS, _BLACK),
         ):
             middle = place + HEAD * height * out
             middle.x *= side
             items.append(add_ball(f"{kind}, {name}", middle, HEAD * radius, color))
-    place, out = _on(skin, _STAR)
+    place, out = _on(skin, _BADGE)
     middle = place + HEAD * 0.8 * _BADGE_RADIUS * out
     items.append(add_ball("Badge", middle, HEAD * _BADGE_RADIUS, _YELLOW))
     return items
@@ -116,7 +118,7 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
 def _eye(skin: Skin) -> Spot:
     """Where an eye goes, and how it looks out: forward, a little up and to the side."""
     place, _ = _on(skin, _EYE)
-    return place, Vector((0.12, -1.0, 0.20)).normalized()
+    return place, Vector((0.12, -1.0, 0.12)).normalized()
 
 
 def _add_beret(skin: Skin) -> list[bpy.types.Object]:
@@ -150,19 +152,27 @@ def _add_tools(
     tools: list[ModellingTool] = []
 
     def tool(name: str, preset: str, radius: float, color: Vec3, handle: float) -> ModellingTool:
+        kind = load_tool_preset(preset)
+        shape = kind.fitted(radius, SPACING), kind.faces
         made = ModellingTool(
-            context, name, preset, radius=radius, spacing=SPACING, color=color, handle=handle
+            context, name, shape, friction=kind.friction, color=color, handle=handle
         )
         tools.append(made)
         return made
 
+    # Who presses on a head, holds it from behind.
+    for name, height in (("head", 1.14), ("nape", 0.72)):
+        behind = skin.met((0.0, 1.0, height * HEAD), (0.0, -1.0, 0.0))[0]
+        palm = tool(f"Palm behind, {name}", "palm", 0.012, _RUBBER, 0.0)
+        palm.press((behind, Vector((0.0, 1.0, 0.0))), -0.3 * SPACING, (-16, 1, 144, 152))
+
     eye = _eye(skin)
     for side, spot in (("left", eye), ("right", mirrored(eye))):
-        paddle = tool(f"Paddle, {side}", "paddle", 0.0110, (0.42, 0.22, 0.09), 0.004)
-        paddle.press(spot, -0.080 * HEAD, (4, 34, 40, 52))
+        paddle = tool(f"Paddle, {side}", "paddle", 0.0135, (0.42, 0.22, 0.09), 0.004)
+        paddle.press(spot, -0.105 * HEAD, (4, 34, 40, 52))
 
     beret = pieces[[piece.name for piece in pieces].index("Beret")]
-    finger = tool("Finger", "finger", 0.0095, _RUBBER, 0.0)
+    finger = tool("Finger", "finger", 0.0095, _RUBBER, 0.0045)
     hat = Skin(beret)
     for number, angle in enumerate(np.radians((-100.0, -40.0, 20.0, 80.0, 140.0, 200.0))):
         reach = 0.78 * HEAD
@@ -173,27 +183,30 @@ def _add_tools(
         finger.press((place, (out + Vector((0.0, 0.0, 1.2))).normalized()), 0.16 * HEAD,
                      (start, start + 9, start + 11, start + 18))  # fmt: skip
 
-    stylus = tool("Stylus", "ball", 0.0042, _STEEL, 0.0032)
-    half = [_on(skin, place) for place in _SMILE]
-    smile = half + [mirrored(spot) for spot in half[-2::-1]]
-    stylus.draw(smile, 0.055 * HEAD, 56, 5)
+    bow = bow_shape(_SMILE_RADIUS * HEAD, 0.042 * HEAD, radians(58.0))
+    smile = ModellingTool(context, "Bow", bow, friction=0.1, color=_STEEL, handle=0.0030)
+    tools.append(smile)
+    place, _ = _on(skin, _SMILE)
+    smile.press((place, Vector((0.0, -1.0, 0.0))), 0.072 * HEAD, (58, 78, 82, 98))
+
+    stylus = tool("Stylus", "ball", 0.0052, _STEEL, 0.0032)
     for start, spot in ((108, _on(skin, _NOSTRIL)), (132, mirrored(_on(skin, _NOSTRIL)))):
-        stylus.press(spot, 0.055 * HEAD, (start, start + 9, start + 11, start + 20))
+        stylus.press(spot, 0.085 * HEAD, (start, start + 9, start + 11, start + 20))
 
     front = _on(skin, _EAR)
     back = skin.met((HEAD * _EAR[0], 1.0, HEAD * _EAR[1]), (0.0, -1.0, 0.0))
     inward = (back[0] - front[0]).normalized()
     for side in ("left", "right"):
-        hollow = tool(f"Ball, {side}", "ball", 0.0080, _STEEL, 0.004)
+        hollow = tool(f"Ball, {side}", "ball", 0.0092, _STEEL, 0.004)
         hold = tool(f"Finger behind, {side}", "finger", 0.0100, _RUBBER, 0.0)
         one, other = (front[0], -inward), (back[0], inward)
         if side == "right":
             one, other = mirrored(one), mirrored(other)
-        hollow.press(one, 0.060 * HEAD, (60, 84, 88, 104))
+        hollow.press(one, 0.100 * HEAD, (60, 84, 88, 104))
         hold.press(other, 0.0, (56, 74, 92, 106))
 
-    stamp = tool("Star", "stamp", 0.0075, (0.42, 0.22, 0.09), 0.004)
-    stamp.press(_on(skin, _STAR), -0.045 * HEAD, (100, 126, 130, 150))
+    thumb = tool("Thumb", "finger", 0.0125, _RUBBER, 0.005)
+    thumb.press(_on(skin, _BADGE), -0.030 * HEAD, (100, 126, 130, 142))
     return tuple(made.write() for made in tools)
 
 
@@ -238,15 +251,15 @@ def _add_board(context: bpy.types.Context) -> None:
 
 def _add_stage(context: bpy.types.Context) -> None:
     for name, place, energy, size, color in (
-        ("Window", (-0.55, -0.60, 0.60), 13.0, 0.45, (1.0, 0.90, 0.78)),
+        ("Window", (-0.55, -0.60, 0.60), 14.0, 0.40, (1.0, 0.90, 0.78)),
         ("Rim", (0.60, 0.45, 0.50), 7.0, 0.25, (1.0, 0.93, 0.85)),
         ("Fill", (0.70, -0.60, 0.25), 2.0, 0.60, (0.80, 0.90, 1.0)),
     ):
         add_area_light(context, name, place, energy, size, color)
-    add_room_light(context, 0.18)
-    camera = add_camera(context, (-0.20, -0.82, 0.19), (0.016, 0.0, 0.088), lens=85.0)
+    add_room_light(context, 0.13)
+    camera = add_camera(context, (-0.19, -0.74, 0.165), (0.022, 0.0, 0.080), lens=85.0)
     camera.data.dof.use_dof = True
-    camera.data.dof.focus_distance = 0.82
+    camera.data.dof.focus_distance = 0.72
     camera.data.dof.aperture_fstop = 8.0
     set_render(context.scene, 960, 600)
     look_through_camera(context)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tools of the character scene: colliders that keyframes press into the clay and draw along."""
+"""The tools of the character scene: colliders that keyframes press into the clay."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
+from numpy.typing import NDArray
 
 from .collider import make_collider
 from .kindergarten_parts import Vec3, mesh_object, plain_material
-from .tool_presets import load_tool_preset
 
 _AWAY = 0.03
 """How far off the clay a tool waits [m]."""
@@ -27,14 +27,13 @@ Spot = tuple[Vector, Vector]
 
 
 class ModellingTool:
-    """A tool from the presets, to be keyed stroke by stroke.
+    """A collider, to be keyed press by press.
 
     Args:
         context: Its collection takes the tool.
         name: Of the object.
-        preset: One of `tool_presets.tool_preset_names`.
-        radius: How large it is [m]; see the presets.
-        spacing: Of the clay [m].
+        shape: Vertices in the tool's own frame as the presets have it [m], and faces.
+        friction: Coulomb friction coefficient.
         color: Linear RGB.
         handle: Radius of its handle [m]; 0 for none.
     """
@@ -43,22 +42,20 @@ class ModellingTool:
         self,
         context: bpy.types.Context,
         name: str,
-        preset: str,
+        shape: tuple[NDArray[np.float64], Sequence | NDArray],
         *,
-        radius: float,
-        spacing: float,
+        friction: float,
         color: Vec3,
         handle: float = 0.0,
     ) -> None:
         self._keys: list[tuple[int, Vector, Vector]] = []
-        kind = load_tool_preset(preset)
-        vertices = kind.fitted(radius, spacing)
-        self.item = mesh_object(name, vertices, kind.faces)
+        vertices, faces = shape
+        self.item = mesh_object(name, vertices, faces)
         self.item.data.shade_smooth()
         self.item.data.materials.append(plain_material(name, color, 0.35))
         self.item.rotation_mode = "QUATERNION"
         context.view_layer.update()
-        make_collider(self.item, "MESH", kind.friction)
+        make_collider(self.item, "MESH", friction)
         if handle:
             _add_handle(self.item, float(vertices[:, 2].max()), handle)
 
@@ -75,23 +72,6 @@ class ModellingTool:
         tip = place - depth * out
         for frame, where in zip(frames, (away, tip, tip, away), strict=True):
             self._key(frame, where, out)
-
-    def draw(self, spots: Sequence[Spot], depth: float, start: int, frames_each: int) -> None:
-        """Draw the tool through the clay along a line, and take it out.
-
-        Args:
-            spots: The line.
-            depth: How deep its tip goes below it [m].
-            start: Frame at which it sets out.
-            frames_each: Between two spots.
-        """
-        (first, out), (last, last_out) = spots[0], spots[-1]
-        self._key(start, first + _AWAY * out, out)
-        frame = start + 2 * frames_each
-        for place, way in spots:
-            self._key(frame, place - depth * way, way)
-            frame += frames_each
-        self._key(frame + frames_each, last + _AWAY * last_out, last_out)
 
     def write(self) -> bpy.types.Object:
         """Key what the tool was told to do, and that it waits out of the picture before and after.
@@ -125,6 +105,44 @@ def mirrored(spot: Spot) -> Spot:
     """The same spot on the other side of the face."""
     flip = Matrix.Diagonal((-1.0, 1.0, 1.0))
     return flip @ spot[0], flip @ spot[1]
+
+
+def bow_shape(
+    radius: float, thickness: float, half_angle: float
+) -> tuple[NDArray[np.float64], list[Sequence[int]]]:
+    """A bent rod with round ends, to print a smile: vertices [m] and faces.
+
+    It lies in the plane of x and y, open towards +y; what meets the clay first is at height 0.
+
+    Args:
+        radius: Of the bend [m].
+        thickness: Radius of the rod [m].
+        half_angle: From its middle to an end [radians].
+    """
+    around, along = 12, 24
+    # Beyond the ends the rod closes as a hemisphere, a ring for each of these angles.
+    cap = np.linspace(0.0, 0.5 * np.pi, 5)[1:-1]
+    stations = [(-half_angle, -np.sin(c), np.cos(c)) for c in cap[::-1]]
+    stations += [(turn, 0.0, 1.0) for turn in np.linspace(-half_angle, half_angle, along)]
+    stations += [(half_angle, np.sin(c), np.cos(c)) for c in cap]
+    angles = np.linspace(0.0, 2.0 * np.pi, around, endpoint=False)
+
+    def ring(turn: float, beyond: float, width: float) -> NDArray[np.float64]:
+        out = np.array([np.sin(turn), -np.cos(turn), 0.0])
+        forward = np.array([np.cos(turn), np.sin(turn), 0.0])
+        middle = radius * out + thickness * beyond * forward + (0.0, radius, thickness)
+        spokes = np.outer(np.cos(angles), out) + np.outer(np.sin(angles), (0.0, 0.0, 1.0))
+        return middle + thickness * width * spokes
+
+    rings = [ring(*station) for station in stations]
+    last = around * (len(rings) - 1)
+    faces: list[Sequence[int]] = [range(around), range(last + around - 1, last - 1, -1)]
+    faces += [
+        (start + n, start + around + n, start + around + (n + 1) % around, start + (n + 1) % around)
+        for start in range(0, last, around)
+        for n in range(around)
+    ]
+    return np.concatenate(rings), faces
 
 
 def _add_handle(tool: bpy.types.Object, start: float, radius: float) -> None:

@@ -20,7 +20,7 @@ class DemoScene:
     what: str
     """What is to be seen, in a few words."""
     moments: tuple[float, ...]
-    """Shares of the film at which it is shown, the last one 1."""
+    """Shares of the film at which it is shown."""
     layout: str
     """``pairs``: pictures of one size, two a row; ``feature``: the last one large."""
     width: int
@@ -59,7 +59,8 @@ SCENES = {
     "incline": DemoScene(
         module="incline_scene",
         what="four blocks fall on a slope, each lacking something else",
-        moments=(0.1, 0.35, 0.55, 1.0),
+        # They fall, hit the slope, and are there together before one is out of sight.
+        moments=(0.08, 0.13, 0.18, 0.26),
         layout="feature",
         width=960,
         samples=32,
@@ -68,7 +69,7 @@ SCENES = {
     ),
     "character": DemoScene(
         module="character_scene",
-        what="tools model a bust from clay of six colours",
+        what="tools model a bust from wax of six colours",
         moments=(0.0, 0.2, 0.5, 0.75, 1.0),
         layout="feature",
         width=960,

@@ -34,7 +34,7 @@ from .scene_stage import (
 
 FRAME_COUNT = int(scene_preset("incline")["frames"])
 
-_BOARD = ((-0.16, -0.30), (0.50, 0.30))
+_BOARD = ((-0.80, -0.80), (0.50, 0.80))
 """Corners of the board along and across the slope [m]; to the clay it has no end."""
 
 
@@ -89,12 +89,12 @@ def build(
         blocks.append(clay_from(context, body, spacing, material=material, color=variant["color"]))
         _add_label(context, variant, across, angle)
     for name, place, energy, light_size in (
-        ("Window", (0.35, -0.75, 0.85), 8.0, 0.4),
+        ("Window", (0.05, -0.85, 0.60), 13.0, 0.35),
         ("Lamp", (0.55, 0.70, 0.60), 2.5, 0.3),
     ):
         add_area_light(context, name, place, energy, light_size, (1.0, 0.94, 0.86))
     add_room_light(context, 0.2)
-    add_camera(context, (0.60, -0.13, 0.40), (0.030, 0.0, 0.010), lens=42.0)
+    add_camera(context, (0.56, -0.05, 0.36), (0.050, 0.0, -0.010), lens=44.0)
     set_render(scene, 1080, 640)
     look_through_camera(context)
     for block in blocks[1:]:

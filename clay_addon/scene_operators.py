@@ -255,6 +255,19 @@ class CLAY_OT_kindergarten_scene_add(_Add, bpy.types.Operator):  # noqa: N801
         add_scene(context, "Kindergarten", kindergarten.build)
 
 
+class CLAY_OT_character_scene_add(_Add, bpy.types.Operator):  # noqa: N801
+    """Make a scene in which tools model a bust of Suzanne"""
+
+    bl_idname = "clay.character_scene_add"
+    bl_label = "Add Character"
+
+    def add(self, context: bpy.types.Context) -> None:
+        """Make the scene."""
+        from . import character_scene
+
+        add_scene(context, "Character", character_scene.build)
+
+
 def _has_wheel_scene() -> bool:
     return importlib.util.find_spec(f"{__package__}.wheel_scene") is not None
 
@@ -294,6 +307,7 @@ class CLAY_MT_add(bpy.types.Menu):  # noqa: N801
         layout.operator("clay.kindergarten_scene_add", text="Kindergarten", icon="SCENE_DATA")
         if _has_wheel_scene():
             layout.operator("clay.wheel_scene_add", text="Potter's Wheel", icon="SCENE_DATA")
+        layout.operator("clay.character_scene_add", text="Character", icon="SCENE_DATA")
         layout.operator("clay.incline_scene_add", text="Incline", icon="SCENE_DATA")
 
 
@@ -306,6 +320,7 @@ _CLASSES = (
     CLAY_OT_slump_test_add,
     CLAY_OT_incline_scene_add,
     CLAY_OT_kindergarten_scene_add,
+    CLAY_OT_character_scene_add,
     CLAY_OT_wheel_scene_add,
     CLAY_MT_add,
 )

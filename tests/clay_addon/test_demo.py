@@ -147,12 +147,12 @@ def test_feature_sheet_has_the_last_on_top_and_a_full_row_below(count: int) -> N
 
 
 @pytest.mark.parametrize("name", demo_scenes.SCENES)
-def test_moments_are_in_order_and_end_with_the_last_frame(name: str) -> None:
-    """Show frames of the film in order, the last one included, of however short a film."""
+def test_moments_are_in_order_and_within_the_film(name: str) -> None:
+    """Show different frames of the film in their order, and some of however short a film."""
     scene = demo_scenes.SCENES[name]
     moments = demo._moments(scene.moments, 78)
-    assert moments == sorted(set(moments)) and moments[-1] == 78
-    assert min(demo._moments(scene.moments, 2)) >= 1
+    assert moments == sorted(set(moments)) and moments[-1] <= 78
+    assert set(demo._moments(scene.moments, 2)) <= {1, 2}
     assert scene.layout in ("pairs", "feature")
 
 

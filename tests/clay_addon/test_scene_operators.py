@@ -19,7 +19,13 @@ from tactile_clay.clay_addon.slump_scene import add_slump_test, expected_slump
 from tactile_clay.tests.experiments.ablation import creep_between
 from tactile_clay.tests.experiments.pieces import pieces
 
-ADDED = ("block_add", "slump_test_add", "incline_scene_add", "kindergarten_scene_add")
+ADDED = (
+    "block_add",
+    "slump_test_add",
+    "incline_scene_add",
+    "kindergarten_scene_add",
+    "character_scene_add",
+)
 
 
 class Played:
