@@ -31,7 +31,7 @@ from .autosave import Autosave
 from .clay_edits import edit_clay
 from .frame_budget import FrameBudget
 from .live_touch import LiveTouch
-from .pace import Pace
+from .pace import STEP_SECONDS, Pace
 from .session_checks import SculptError, check_free
 from .session_take import SessionTake
 from .solver_worker import SolverWorker, Stepped, step
@@ -246,7 +246,8 @@ class SculptSession:
             self._take.begin(scene, self.simulation, self.tools.meshes())
             return
         self.pace.took(stepped.duration, stepped.seconds)
-        self.budget.took("simulate", stepped.seconds)
+        # A step may cover several frames.
+        self.budget.took("simulate", stepped.seconds * STEP_SECONDS / stepped.duration)
         world = stepped.positions / np.float32(self.simulation.scale)
         self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
