@@ -103,7 +103,7 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
     for side, name in ((1.0, "left"), (-1.0, "right")):
         for kind, height, radius, color in (
             # Sunk into the eye, which leaves room for it.
-            ("Pupil", 1.7 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
+            ("Pupil", 1.5 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
             ("Eye", 0.85 * _EYE_RADIUS, _EYE_RADIUS, _WHITE),
         ):
             middle = place + HEAD * height * out
