@@ -26,18 +26,13 @@ from .bake_touch import BakeTouch, own_touch
 from .cache import Cache, Frame, Meta
 from .checkpoints import Checkpoints, restore_checkpoint
 from .clay_points import SCULPTED_MARK, write_colors
+from .clay_scene import SimulationError, clay_objects, frames_per_second, solver_device
 from .delivery_object import delivered_object
 from .pack import is_packed
 from .playback import paused, refresh
 from .preferences import ADDON_VERSION
 from .properties import frame_range
-from .simulation import (
-    Simulation,
-    SimulationError,
-    clay_objects,
-    frames_per_second,
-    solver_device,
-)
+from .simulation import Simulation
 from .wheel import WheelError, check_speeds, sample
 
 __all__ = [

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..solver.material import Material
+from .clay_scene import clay_objects, collider_objects
 from .kindergarten_parts import mesh_object, plain_material
 from .make_clay import ClayError, make_clay
 from .scene_stage import add_table, scene_preset
-from .simulation import clay_objects, collider_objects
 from .user_materials import MATERIAL_VALUES
 
 BOX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))

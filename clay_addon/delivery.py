@@ -22,6 +22,7 @@ import bpy
 
 from .cache import CacheError
 from .cache_files import replace_file
+from .clay_scene import clay_objects, frames_per_second
 from .delivery_files import FRAMES_FOLDER, ROOT_NAME, FrameWriter, write_root
 from .delivery_folder import (
     NOTE,
@@ -34,7 +35,6 @@ from .delivery_object import close_delivery, show_delivery
 from .playback import cache_of
 from .properties import frame_range
 from .shown_clay import ShownClay, ShownClayError, moves, particles_surface
-from .simulation import clay_objects, frames_per_second
 from .surface import SurfaceError
 
 __all__ = [

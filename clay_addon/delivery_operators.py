@@ -10,9 +10,9 @@ import bpy
 
 from . import bake_operators
 from .bake_operators import duration_text, size_text
+from .clay_scene import clay_objects
 from .delivery import DeliveryError, DeliveryProgress, DeliveryResult, deliver_steps
 from .delivery_object import delivered_object, remove_delivery
-from .simulation import clay_objects
 
 running: DeliveryProgress | None = None
 """How far the delivery in the interface is; None while there is none."""

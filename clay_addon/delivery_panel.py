@@ -7,10 +7,10 @@ import bpy
 
 from . import delivery_operators
 from .bake_operators import duration_text
+from .clay_scene import clay_objects
 from .delivery_object import delivered_object
 from .pose_operators import chosen_clay
 from .poses import has_poses, pose_frames
-from .simulation import clay_objects
 
 
 class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801

@@ -57,10 +57,10 @@ def main(argv: Sequence[str]) -> int:
         return int(end.code or 0)
     from .bake import BakeError
     from .cache import CacheError
+    from .clay_scene import SimulationError
     from .export import ExportError
     from .make_clay import ClayError
     from .pack import PackError
-    from .simulation import SimulationError
     from .surface import SurfaceError
 
     log = options.output / "demo.log"
@@ -125,9 +125,9 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
     """Make everything, and return what to tell about it."""
     from . import register
     from .bake import BakeProgress, bake
+    from .clay_scene import clay_objects, solver_device
     from .export import clay_surface, write_mesh
     from .pack import pack_bake
-    from .simulation import clay_objects, solver_device
 
     began = time.perf_counter()
     # Reading the factory settings would switch the extension off inside Blender, wheels and all.

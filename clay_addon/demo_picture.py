@@ -14,9 +14,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from .clay_scene import clay_objects
 from .export import clay_surface
 from .look import surface_object
-from .simulation import clay_objects
 
 GAP = 10
 """Width of the lines between pictures on a sheet of 1440 pixels [pixels]."""

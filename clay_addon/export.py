@@ -150,7 +150,7 @@ def export_clay(
     """
     target = check_target(path, unit=unit)
     if objects is None:
-        from .simulation import clay_objects
+        from .clay_scene import clay_objects
 
         objects = clay_objects(context.scene)
     if not objects:

@@ -54,15 +54,15 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is clay."""
-        from .simulation import clay_objects
+        from .clay_scene import clay_objects
 
         return bool(clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Export, or report why not."""
+        from .clay_scene import clay_objects
         from .playback import message
         from .poses import plays_itself
-        from .simulation import clay_objects
 
         clay = clay_objects(context.scene)
         if self.use_selection:

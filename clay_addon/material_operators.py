@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import bpy
 
+from .clay_scene import material_of
 from .material_presets import CUSTOM, is_user_material
-from .simulation import material_of
 from .user_materials import (
     LABEL_LENGTH,
     UserMaterialError,

@@ -139,9 +139,9 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         PackError: if there is no clay, no bake, a bake of other clay, or a missing frame.
         CacheError: if the cache cannot be read.
     """
+    from .clay_scene import clay_objects
     from .mesh_geometry import local_from_world, transform
     from .playback import cache_of, is_bake_of
-    from .simulation import clay_objects
 
     clay = clay_objects(scene)
     if not clay:
@@ -312,7 +312,7 @@ class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is clay."""
-        from .simulation import clay_objects
+        from .clay_scene import clay_objects
 
         return bool(clay_objects(context.scene))
 
@@ -341,14 +341,14 @@ class CLAY_OT_unpack(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is packed clay."""
-        from .simulation import clay_objects
+        from .clay_scene import clay_objects
 
         return any(is_packed(item) for item in clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Unpack all clay of the scene."""
+        from .clay_scene import clay_objects
         from .playback import refresh
-        from .simulation import clay_objects
 
         count = sum(unpack(item) for item in clay_objects(context.scene))
         refresh(context.scene)

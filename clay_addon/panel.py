@@ -11,11 +11,12 @@ from . import bake_operators, playback
 from .bake_checks import BakeError, changed_subjects, resolve_directory
 from .bake_operators import duration_text, size_text
 from .cache import Cache, CacheError
+from .clay_scene import SimulationError, clay_objects, collider_objects
 from .hand import hand_message, hand_objects
 from .pack import is_packed
 from .preferences import draw_missing_parts, draw_text
 from .properties import frame_range
-from .simulation import SimulationError, clay_objects, collider_objects, scene_digests
+from .scene_digest import scene_digests
 from .user_materials import user_material_folder, user_materials
 
 _GLANCE_SECONDS = 1.0

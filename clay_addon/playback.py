@@ -15,10 +15,11 @@ from .app_handlers import add_handlers, remove_handlers
 from .bake_checks import BakeError, resolve_directory
 from .cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
 from .clay_points import BAKED_MARK, is_sculpted, write_points
+from .clay_scene import SimulationError, clay_objects, read_points
 from .mesh_geometry import local_from_world, transform
 from .pack import is_packed
 from .properties import held_frame
-from .simulation import SimulationError, clay_digest, clay_objects, read_points
+from .scene_digest import clay_digest
 
 _messages: dict[str, str] = {}
 _metas: dict[Path, tuple[int, Meta]] = {}

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from .clay_scene import clay_objects, read_points
 from .pack import is_packed, packed_positions
 from .poses import (
     PoseError,
@@ -20,7 +21,6 @@ from .poses import (
     remove_key,
     take_pose,
 )
-from .simulation import clay_objects, read_points
 
 
 def chosen_clay(context: bpy.types.Context) -> list[bpy.types.Object]:

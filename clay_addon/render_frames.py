@@ -19,11 +19,11 @@ from pathlib import Path
 import bpy
 
 from .cache_files import replace_file
+from .clay_scene import clay_objects
 from .delivery_object import delivered_object
 from .playback import cache_of, message
 from .poses import plays_itself
 from .properties import held_frame
-from .simulation import clay_objects
 
 __all__ = ["FrameNotBakedError", "RenderError", "RenderProgress", "RenderResult", "render_frames"]
 

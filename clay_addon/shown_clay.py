@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from .cache import Cache, Meta
 from .clay_points import is_sculpted, present_rows
+from .clay_scene import clay_colors, read_points
 from .keyed_channels import find_curve
 from .mesh_geometry import transform
 from .pack import is_packed, packed_positions
 from .playback import is_bake_of
 from .poses import pose_at
 from .properties import held_frame
-from .simulation import clay_colors, read_points
 from .surface import Surface, reconstruct
 
 

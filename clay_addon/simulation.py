@@ -6,9 +6,8 @@ Blender's units are turned into metres here, and back, and nowhere else.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -16,10 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..solver.closed_mesh import MeshError
-from ..solver.material import Material
 from ..solver.polar import rotation_and_stretch
-from ..solver.settings import Settings
 from .cache import ClaySlice
+from .clay_scene import (
+    SimulationError,
+    checked_material,
+    clay_colors,
+    clay_objects,
+    clay_positions,
+    collider_objects,
+    frames_per_second,
+    is_enabled,
+    solver_settings,
+)
 from .collider import TAKE_TOOL, ColliderError, resolve_kind
 from .hand import hand_objects
 from .hand_motion import HandState, MovingHand
@@ -32,7 +40,7 @@ from .mesh_geometry import (
     transform,
     turn_for,
 )
-from .preferences import device_choice, missing_parts
+from .scene_digest import digest_of, scene_digests
 from .wheel import is_wheel
 
 if TYPE_CHECKING:
@@ -48,135 +56,6 @@ _REFUSED = "The solver cannot take this scene: {}"
 LIVE_HOLD_STIFFNESS = 600.0
 """How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
 fingertip pressed with 6 N is a centimetre behind."""
-
-
-class SimulationError(Exception):
-    """A scene cannot be simulated; the message says why and what to do."""
-
-
-def clay_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The clay of a scene, by name: the order of the particles in the solver and the cache."""
-    found = [
-        item
-        for item in scene.objects
-        if item.type == "POINTCLOUD" and item.tactile_clay.role == "CLAY"
-    ]
-    return sorted(found, key=lambda item: item.name)
-
-
-def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The colliders of a scene, by name."""
-    found = [item for item in scene.objects if item.tactile_clay.role == "COLLIDER"]
-    return sorted(found, key=lambda item: item.name)
-
-
-def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the clay feels a collider at the current frame."""
-    return bool(item.evaluated_get(depsgraph).tactile_clay.collider_enabled)
-
-
-def frames_per_second(scene: bpy.types.Scene) -> float:
-    """Frames in one second [1/s]."""
-    return scene.render.fps / scene.render.fps_base
-
-
-def read_points(
-    item: bpy.types.Object, attribute: str, width: int = 3
-) -> NDArray[np.float32] | None:
-    """An attribute of a point cloud, shape [N, width]; None if there is no such attribute."""
-    layer = item.data.attributes.get(attribute)
-    key = {"FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}.get(layer.data_type) if layer else None
-    if layer is None or key is None:
-        return None
-    values = np.empty((len(layer.data), width), np.float32)
-    layer.data.foreach_get(key, values.ravel())
-    return values
-
-
-def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
-    """Colours of a clay object's points, linear RGBA, shape [N, 4]; white if it has none."""
-    colors = read_points(item, "Color", 4)
-    return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
-
-
-def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> NDArray[np.float32]:
-    """World positions of a clay object's points [Blender units], shape [N, 3].
-
-    Args:
-        item: A clay object.
-        attribute: ``rest_position``, which a bake starts from, or ``position``, which is shown.
-
-    Raises:
-        SimulationError: The object is not as Make Clay made it, or it is scaled.
-    """
-    local = read_points(item, attribute)
-    if local is None:
-        raise SimulationError(
-            f"{item.name!r} has lost its attribute {attribute}, so the shape it starts from is "
-            "unknown. Undo, or make the clay again."
-        )
-    if not len(local):
-        raise SimulationError(f"{item.name!r} has no points. Make the clay again.")
-    bad = int((~np.isfinite(local).all(1)).sum())
-    if bad:
-        raise SimulationError(f"{item.name!r} has {bad} points that are not finite. Delete them.")
-    matrix = np.array(item.matrix_world, np.float64)
-    if not np.isfinite(matrix).all():
-        raise SimulationError(
-            f"The transform of {item.name!r} is not finite. Look for a bad value in its "
-            "animation or drivers."
-        )
-    if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-4):
-        raise SimulationError(
-            f"{item.name!r} is scaled, so its particles no longer have their spacing. Clear the "
-            "scale (Alt+S), scale the meshes it was made from, and make the clay again."
-        )
-    return transform(matrix, local).astype(np.float32)
-
-
-def material_of(item: bpy.types.Object) -> Material:
-    """What a clay object is made of."""
-    values = item.tactile_clay
-    return Material(
-        density=values.density,
-        yield_stress=values.yield_stress,
-        viscosity=values.viscosity,
-        shear_modulus=values.shear_modulus,
-        friction=values.friction,
-    )
-
-
-def solver_settings(scene: bpy.types.Scene) -> Settings:
-    """The solver's settings for a scene."""
-    substeps = scene.tactile_clay.substeps
-    return Settings(substeps=substeps) if substeps else Settings()
-
-
-def solver_device(context: bpy.types.Context, device: str | None = None) -> str:
-    """The device to compute on: ``cpu`` or ``cuda:0``.
-
-    Args:
-        context: Where the preferences are.
-        device: ``auto``, ``cpu`` or ``cuda:0``; the preferences' where not given.
-
-    Raises:
-        SimulationError: Warp is missing, or there is no such device.
-    """
-    for sentence in missing_parts():
-        raise SimulationError(sentence)
-    import warp
-
-    device = device or device_choice(context)
-    cards = warp.get_cuda_device_count()
-    if device == "auto":
-        return "cuda:0" if cards else "cpu"
-    if device != "cpu" and not (device.startswith("cuda:") and device[5:].isdigit()):
-        raise SimulationError(f"There is no device {device!r}. There are: auto, cpu, cuda:0.")
-    if device != "cpu" and int(device[5:]) >= cards:
-        raise SimulationError(
-            f"This machine has no CUDA device {device!r}. Choose auto or cpu in the preferences."
-        )
-    return device
 
 
 @dataclass
@@ -234,7 +113,7 @@ class Simulation:
             )
         _check_clay(clay, depsgraph)
         self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
-        self.materials = tuple(_checked_material(item) for item in clay)
+        self.materials = tuple(checked_material(item) for item in clay)
         attribute = "position" if live else "rest_position"
         self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
@@ -299,12 +178,12 @@ class Simulation:
         """A digest for each subject that decides the result, to tell which one has changed."""
         return {
             **scene_digests(self.scene),
-            "colliders": _digest(
+            "colliders": digest_of(
                 tuple(self._surfaces.values()),
                 *((part.point, part.normal) for part in self._planes),
                 *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
             ),
-            "hands": _digest(*(hand.digest_parts() for hand in self.hands)),
+            "hands": digest_of(*(hand.digest_parts() for hand in self.hands)),
         }
 
     def moving_parts(self) -> str:
@@ -394,7 +273,7 @@ class Simulation:
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
         """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
-        return bytes.fromhex(_digest(*self.follow(depsgraph)))
+        return bytes.fromhex(digest_of(*self.follow(depsgraph)))
 
     def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
         """Tell the solver, if it runs, where colliders and hands are at the current frame.
@@ -460,7 +339,7 @@ class Simulation:
             if steps:
                 self.step(1.0 / count)
                 self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
-        return done[0] if count == 1 else bytes.fromhex(_digest(*done))
+        return done[0] if count == 1 else bytes.fromhex(digest_of(*done))
 
     def _edit(self, after: float, until: float) -> None:
         """Carry out the edits between two moments [frames]."""
@@ -587,34 +466,6 @@ class Simulation:
                 )
 
 
-def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
-    """A digest for each subject that can be told without looking at the colliders.
-
-    Raises:
-        SimulationError: The clay cannot be simulated.
-    """
-    clay = clay_objects(scene)
-    gravity = tuple(scene.gravity) if scene.use_gravity else (0.0, 0.0, 0.0)
-    samples, edits = scene.tactile_clay.motion_samples, scene.tactile_clay.film_edits
-    return {
-        "clay": _digest(clay_digest(clay), edits) if edits else clay_digest(clay),
-        "materials": _digest(*(asdict(_checked_material(item)) for item in clay)),
-        "solver settings": _digest(asdict(solver_settings(scene))),
-        "gravity": _digest(*gravity),
-        "frame rate": _digest(frames_per_second(scene), *([samples] if samples > 1 else [])),
-        "unit scale": _digest(scene.unit_settings.scale_length),
-    }
-
-
-def clay_digest(clay: list[bpy.types.Object]) -> str:
-    """A digest of the rest state, whatever the objects are called.
-
-    Raises:
-        SimulationError: The clay cannot be simulated.
-    """
-    return _digest(*((item.tactile_clay.spacing, clay_positions(item)) for item in clay))
-
-
 def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
     gives_way = live or context.scene.tactile_clay.hands_give_way
     hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
@@ -655,13 +506,6 @@ def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) ->
             )
 
 
-def _checked_material(item: bpy.types.Object) -> Material:
-    try:
-        return material_of(item)
-    except ValueError as error:
-        raise SimulationError(f"{item.name!r}: {error}") from error
-
-
 def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
     spacings = {item.name: item.tactile_clay.spacing for item in clay}
     first = next(iter(spacings.values()))
@@ -675,19 +519,3 @@ def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
                 "ones again."
             )
     return first
-
-
-def _digest(*values: Any) -> str:
-    """Thirty-two hexadecimal digits of arrays, numbers and tables."""
-    digest = hashlib.blake2b(digest_size=16)
-    for value in values:
-        if isinstance(value, np.ndarray):
-            digest.update(f"{value.dtype}{value.shape}".encode())
-            digest.update(np.ascontiguousarray(value).tobytes())
-        elif isinstance(value, tuple):
-            digest.update(_digest(*value).encode())
-        elif isinstance(value, Mapping):
-            digest.update(_digest(*(repr(pair) for pair in sorted(value.items()))).encode())
-        else:
-            digest.update(repr(value).encode())
-    return digest.hexdigest()

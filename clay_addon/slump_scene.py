@@ -16,9 +16,9 @@ from mathutils import Matrix
 
 from ..solver.material import Material
 from .block_scene import clay_from, new_spacing
+from .clay_scene import collider_objects
 from .kindergarten_parts import mesh_object, plain_material
 from .scene_stage import add_table, scene_preset
-from .simulation import collider_objects
 
 _SIDES = 48
 """Of the cylinder."""

@@ -12,20 +12,20 @@ import bpy
 from .bake_checks import BakeError, compare, resolve_directory
 from .bake_operators import size_text
 from .cache import Cache, CacheError
-from .collider import ColliderError, resolve_kind
-from .hand import hand_message, hand_objects, read_hand_rig
-from .hand_reading import HandError
-from .playback import paused
-from .preferences import ADDON_VERSION, missing_parts
-from .properties import frame_range
-from .simulation import (
-    Simulation,
+from .clay_scene import (
     SimulationError,
     clay_objects,
     collider_objects,
     frames_per_second,
     material_of,
 )
+from .collider import ColliderError, resolve_kind
+from .hand import hand_message, hand_objects, read_hand_rig
+from .hand_reading import HandError
+from .playback import paused
+from .preferences import ADDON_VERSION, missing_parts
+from .properties import frame_range
+from .simulation import Simulation
 
 
 def inspect(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
-from ..simulation import clay_colors, clay_objects, read_points
+from ..clay_scene import clay_colors, clay_objects, read_points
 
 _SUFFIX = ".clay-autosave.npz"
 _EVERY = 5.0

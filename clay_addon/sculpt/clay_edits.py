@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clay_points import replace_points, write_colors
+from ..clay_scene import clay_colors, read_points
 from ..mesh_geometry import local_from_world, transform
-from ..simulation import clay_colors, read_points
 from .edits import Edit, apply_edit
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ..clay_scene import clay_objects, collider_objects
 from ..collider import TAKE_TOOL
 from ..hand import hand_objects, make_hand, scene_spacing
 from ..hand_reading import HandError, hand_armature
@@ -25,7 +26,6 @@ from ..hand_store import load_hand, stored_spacing
 from ..look import MODIFIER_NAME, add_look, get_input, set_input
 from ..make_clay import ClayError, fill_pieces, make_point_cloud
 from ..preferences import missing_parts
-from ..simulation import clay_objects, collider_objects
 from ..surface import SurfaceError, reconstruct
 from .film_edits import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clay_points import ABSENT
-from ..simulation import clay_colors, read_points
+from ..clay_scene import clay_colors, read_points
 from .edits import Edit, EditKind, apply_edit
 from .take_data import Edit as TakeEdit
 from .take_frames import nearest

@@ -58,7 +58,8 @@ class Pace:
         if duration:
             self.simulated += duration
             self._steps.append((now, duration))
-            while self._steps[0][0] < now - _WINDOW:
+            # One from before the window stays: it is what the window begins with.
+            while len(self._steps) > 1 and self._steps[1][0] < now - _WINDOW:
                 self._steps.popleft()
         return duration
 
@@ -84,12 +85,12 @@ class Pace:
 
     def factor(self, now: float) -> float:
         """Simulated time over that of the clock, of the last second; 1 before there was any."""
-        steps = [step for step in self._steps if step[0] >= now - _WINDOW]
-        if len(steps) < 2:
+        if not self._steps:
             return 1.0
-        # The newest is still being computed.
-        whole = steps[-1][0] - steps[0][0]
-        return min(1.0, sum(duration for _, duration in steps[:-1]) / whole)
+        begun, last = self._steps[-1]
+        # The newest counts as whole, and takes as long as it has been at work by now.
+        whole = max(now, begun + last) - self._steps[0][0]
+        return min(1.0, sum(duration for _, duration in self._steps) / whole)
 
 
 def _mean(before: float, value: float) -> float:

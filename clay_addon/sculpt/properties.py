@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ..app_handlers import add_handlers, remove_handlers
-from ..simulation import clay_objects
+from ..clay_scene import clay_objects
 from ..tool_presets import ToolPreset, ToolPresetError
 from ..tool_stamp import stamp_from_object
 from . import session

@@ -21,17 +21,11 @@ from numpy.typing import NDArray
 from ...solver.recording_lock import recording_lock
 from ..bake_touch import own_touch
 from ..clay_points import keep_sculpted, write_points
+from ..clay_scene import SimulationError, clay_colors, clay_objects, read_points, solver_device
 from ..live_surface import LiveSurface
 from ..mesh_geometry import local_from_world, transform
 from ..playback import paused, refresh
-from ..simulation import (
-    Simulation,
-    SimulationError,
-    clay_colors,
-    clay_objects,
-    read_points,
-    solver_device,
-)
+from ..simulation import Simulation
 from ..wheel_live import LiveWheels
 from .autosave import Autosave
 from .clay_edits import edit_clay

@@ -6,10 +6,10 @@ from __future__ import annotations
 import bpy
 
 from .. import bake_operators, delivery_operators
+from ..clay_scene import clay_objects
 from ..delivery_object import delivered_object
 from ..pack import is_packed
 from ..preferences import missing_parts
-from ..simulation import clay_objects
 
 
 class SculptError(Exception):

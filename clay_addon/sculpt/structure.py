@@ -7,7 +7,7 @@ from collections.abc import Hashable
 
 import bpy
 
-from ..simulation import solver_settings
+from ..clay_scene import solver_settings
 
 _MATERIAL = ("density", "yield_stress", "viscosity", "shear_modulus", "friction", "spacing")
 

@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from ..bake_checks import BakeError, owner_of, resolve_directory
 from ..cache import Cache, CacheError, Meta
+from ..clay_scene import clay_colors, frames_per_second
 from ..preferences import ADDON_VERSION
-from ..simulation import Simulation, clay_colors, frames_per_second
+from ..simulation import Simulation
 from .take_data import TakeHeader, ToolShape
 from .take_files import write_header, write_start, write_tool
 from .take_frames import TakeFrames

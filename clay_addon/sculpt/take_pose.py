@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..clay_scene import collider_objects, is_enabled
 from ..collider import TAKE_TOOL
 from ..hand import hand_objects
-from ..simulation import collider_objects, is_enabled
 from ..tracking.armature import CONTACT_PROPERTY
 from .take_data import Layout
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..clay_points import SCULPTED_MARK
+from ..clay_scene import clay_objects
 from ..playback import refresh
-from ..simulation import clay_objects
 from .film_edits import edits_of_text, edits_text
 from .take_data import Edit, Steps
 from .take_files import read_take

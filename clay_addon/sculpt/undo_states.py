@@ -13,7 +13,7 @@ from collections import OrderedDict
 import bpy
 from numpy.typing import NDArray
 
-from ..simulation import clay_objects
+from ..clay_scene import clay_objects
 from .take import Mark
 
 _MARK = "clay_state"

@@ -124,7 +124,8 @@ def test_clay_is_made_baked_played_and_exported(
     mesh = trimesh.load(shape)
     assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(64e-6, rel=0.01)
+    # STL is in millimetres, as printers read it.
+    assert mesh.volume == pytest.approx(64e3, rel=0.01)
 
     played = blender.run_script(PLAY, scene=scene_file)
     assert played.exit_code == 0, played.output

@@ -14,13 +14,13 @@ from mathutils.kdtree import KDTree  # noqa: E402
 from tactile_clay.clay_addon import character_scene, register, unregister  # noqa: E402
 from tactile_clay.clay_addon.character_parts import HEAD, Skin  # noqa: E402
 from tactile_clay.clay_addon.character_tools import bow_shape, mirrored  # noqa: E402
-from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
-from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
-from tactile_clay.clay_addon.simulation import (  # noqa: E402
+from tactile_clay.clay_addon.clay_scene import (  # noqa: E402
     clay_colors,
     clay_positions,
     collider_objects,
 )
+from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
+from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
 from tactile_clay.solver.closed_mesh import check_closed_mesh, mesh_volume  # noqa: E402
 
 SPACING = character_scene.SPACING

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from tactile_clay.clay_addon.clay_scene import SimulationError
 from tactile_clay.clay_addon.collider import ColliderError, make_collider, resolve_kind
-from tactile_clay.clay_addon.simulation import Simulation, SimulationError
+from tactile_clay.clay_addon.simulation import Simulation
 
 
 def test_mesh_is_marked_and_unmarked(studio: Any) -> None:

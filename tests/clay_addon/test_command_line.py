@@ -11,7 +11,7 @@ import bpy
 import pytest
 import trimesh
 
-from tactile_clay.clay_addon import command_line
+from tactile_clay.clay_addon import command_words
 from tactile_clay.clay_addon.cache import Cache
 from tactile_clay.clay_addon.collider import make_collider
 from tactile_clay.clay_addon.command_line import main, main_in_blender
@@ -259,7 +259,7 @@ def test_bake_that_cannot_start_says_why(
 )
 def test_frame_ranges_may_be_negative(text: str, expected: tuple[int, int]) -> None:
     """Read two frame numbers with their signs."""
-    assert command_line._frame_range(text) == expected
+    assert command_words.frame_range(text) == expected
 
 
 def test_help_tells_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import dukpy
 import pytest
 
-from tactile_clay.clay_addon.command_line import _parser
+from tactile_clay.clay_addon.command_line import COMMANDS
+from tactile_clay.clay_addon.command_words import make_parser
 
 # What Flamenco documents for its job compiler scripts, and no more. Two frames in a row are "1,2"
 # in its chunks, three "1-3".
@@ -91,7 +92,9 @@ def clay_words(task: dict[str, Any]) -> Any:
     assert (parameters["exe"], parameters["exeArgs"]) == ("{blender}", "{blenderArgs}")
     assert (parameters["argsBefore"], parameters["blendfile"]) == ([], "/farm/shot.blend")
     assert parameters["args"][:2] == ["--command", "clay"]
-    return _parser("clay", names_file=False).parse_args(parameters["args"][2:])
+    return make_parser("clay", names_file=False, commands=COMMANDS).parse_args(
+        parameters["args"][2:]
+    )
 
 
 def test_bake_comes_first_and_the_film_last(source: str) -> None:

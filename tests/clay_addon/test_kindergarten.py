@@ -14,15 +14,15 @@ bpy = pytest.importorskip("bpy")
 from mathutils.bvhtree import BVHTree  # noqa: E402
 
 from tactile_clay.clay_addon import kindergarten, register, unregister  # noqa: E402
-from tactile_clay.clay_addon.hand import hand_objects  # noqa: E402
-from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
-from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
-from tactile_clay.clay_addon.simulation import (  # noqa: E402
-    Simulation,
+from tactile_clay.clay_addon.clay_scene import (  # noqa: E402
     clay_colors,
     clay_positions,
     collider_objects,
 )
+from tactile_clay.clay_addon.hand import hand_objects  # noqa: E402
+from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
+from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
+from tactile_clay.clay_addon.simulation import Simulation  # noqa: E402
 from tactile_clay.solver.closed_mesh import check_closed_mesh  # noqa: E402
 from tactile_clay.tests.experiments.pieces import pieces  # noqa: E402
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon import look
+from tactile_clay.clay_addon.clay_scene import clay_colors
 from tactile_clay.clay_addon.live_surface import LiveSurface, sweep
 from tactile_clay.clay_addon.look_material import clay_material
 from tactile_clay.clay_addon.mesh_geometry import is_switched_off
-from tactile_clay.clay_addon.simulation import clay_colors
 from tactile_clay.clay_addon.surface import check_closed_manifold
 
 

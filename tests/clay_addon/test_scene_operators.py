@@ -11,9 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from tactile_clay.clay_addon import kindergarten, scene_operators
+from tactile_clay.clay_addon.clay_scene import clay_objects, collider_objects
 from tactile_clay.clay_addon.make_clay import ClayError
 from tactile_clay.clay_addon.scene_stage import look_at
-from tactile_clay.clay_addon.simulation import Simulation, clay_objects, collider_objects
+from tactile_clay.clay_addon.simulation import Simulation
 from tactile_clay.clay_addon.slump_scene import add_slump_test, expected_slump
 from tactile_clay.tests.experiments.ablation import creep_between
 from tactile_clay.tests.experiments.pieces import pieces

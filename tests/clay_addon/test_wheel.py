@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.bake import BakeError, bake
+from tactile_clay.clay_addon.clay_scene import SimulationError
 from tactile_clay.clay_addon.collider import make_collider
-from tactile_clay.clay_addon.simulation import Simulation, SimulationError
+from tactile_clay.clay_addon.simulation import Simulation
 from tactile_clay.clay_addon.wheel import axle_angle, refresh
 from tactile_clay.clay_addon.wheel_live import LiveWheels
 from tactile_clay.clay_addon.wheel_speed import RATE, speed_curve

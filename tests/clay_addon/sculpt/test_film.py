@@ -14,18 +14,14 @@ from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.bake import BakeStaleError, bake
 from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.clay_scene import clay_colors, clay_objects, collider_objects
 from tactile_clay.clay_addon.command_line import main
 from tactile_clay.clay_addon.export import clay_surface
 from tactile_clay.clay_addon.hand import hand_message, hand_objects
 from tactile_clay.clay_addon.panel import cache_state
 from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.film import make_film
-from tactile_clay.clay_addon.simulation import (
-    Simulation,
-    clay_colors,
-    clay_objects,
-    collider_objects,
-)
+from tactile_clay.clay_addon.simulation import Simulation
 from tactile_clay.clay_addon.status import inspect
 from tactile_clay.clay_addon.surface import reconstruct
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY

@@ -34,6 +34,15 @@ def test_slow_solver_falls_behind_and_says_so() -> None:
     assert max(durations[2:]) == pytest.approx(STEP_SECONDS)
 
 
+def test_window_that_stands_still_is_not_real_time() -> None:
+    """Say that time goes by slowly also where a step takes longer than the factor's window."""
+    pace = Pace()
+    for now in (0.0, 3.0, 6.0):
+        pace.next(now)
+        pace.took(STEP_SECONDS, 3.0)
+    assert pace.factor(9.0) < 0.02
+
+
 def test_slow_window_leaves_the_solver_to_work() -> None:
     """Let a slow solver work while the window is drawn: the two take turns otherwise."""
     pace, _, now = run(2.0, 0.25, seconds=20.0)

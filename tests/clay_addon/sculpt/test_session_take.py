@@ -10,12 +10,12 @@ import numpy as np
 from tactile_clay.clay_addon.bake import bake
 from tactile_clay.clay_addon.bake_checks import resolve_directory
 from tactile_clay.clay_addon.cache import Cache
+from tactile_clay.clay_addon.clay_scene import clay_objects
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.edits import Edit
 from tactile_clay.clay_addon.sculpt.film import make_film
 from tactile_clay.clay_addon.sculpt.session import SculptSession
 from tactile_clay.clay_addon.sculpt.take_store import take_edits
-from tactile_clay.clay_addon.simulation import clay_objects
 
 from .test_session import Clock, Finger, Sculpting, top_of
 
