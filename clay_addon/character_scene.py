@@ -257,7 +257,7 @@ def _add_stage(context: bpy.types.Context) -> None:
     ):
         add_area_light(context, name, place, energy, size, color)
     add_room_light(context, 0.13)
-    camera = add_camera(context, (-0.19, -0.74, 0.165), (0.022, 0.0, 0.080), lens=85.0)
+    camera = add_camera(context, (-0.19, -0.74, 0.165), (0.022, 0.0, 0.084), lens=85.0)
     camera.data.dof.use_dof = True
     camera.data.dof.focus_distance = 0.72
     camera.data.dof.aperture_fstop = 8.0
