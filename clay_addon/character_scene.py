@@ -103,7 +103,7 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
     for side, name in ((1.0, "left"), (-1.0, "right")):
         for kind, height, radius, color in (
             # Sunk into the eye, which leaves room for it.
-            ("Pupil", 1.7 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
+            ("Pupil", 1.5 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
             ("Eye", 0.85 * _EYE_RADIUS, _EYE_RADIUS, _WHITE),
         ):
             middle = place + HEAD * height * out
@@ -257,7 +257,7 @@ def _add_stage(context: bpy.types.Context) -> None:
     ):
         add_area_light(context, name, place, energy, size, color)
     add_room_light(context, 0.13)
-    camera = add_camera(context, (-0.19, -0.74, 0.165), (0.022, 0.0, 0.080), lens=85.0)
+    camera = add_camera(context, (-0.19, -0.74, 0.165), (0.022, 0.0, 0.084), lens=85.0)
     camera.data.dof.use_dof = True
     camera.data.dof.focus_distance = 0.72
     camera.data.dof.aperture_fstop = 8.0

@@ -13,7 +13,7 @@ from mathutils.kdtree import KDTree  # noqa: E402
 
 from tactile_clay.clay_addon import character_scene, register, unregister  # noqa: E402
 from tactile_clay.clay_addon.character_parts import HEAD, Skin  # noqa: E402
-from tactile_clay.clay_addon.character_tools import mirrored  # noqa: E402
+from tactile_clay.clay_addon.character_tools import bow_shape, mirrored  # noqa: E402
 from tactile_clay.clay_addon.clay_scene import (  # noqa: E402
     clay_colors,
     clay_positions,
@@ -21,6 +21,7 @@ from tactile_clay.clay_addon.clay_scene import (  # noqa: E402
 )
 from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform  # noqa: E402
 from tactile_clay.clay_addon.scene_operators import add_scene  # noqa: E402
+from tactile_clay.solver.closed_mesh import check_closed_mesh, mesh_volume  # noqa: E402
 
 SPACING = character_scene.SPACING
 
@@ -108,3 +109,16 @@ def test_mirroring_twice_changes_nothing() -> None:
     spot = Vector((0.1, 0.2, 0.3)), Vector((0.6, -0.8, 0.0))
     assert mirrored(spot)[0].x == pytest.approx(-0.1)
     assert mirrored(mirrored(spot)) == spot
+
+
+def test_bow_is_a_closed_rod_as_thick_as_asked() -> None:
+    """Close the rod, wind it outward, and let it meet the clay at height 0."""
+    vertices, faces = bow_shape(0.013, 0.003, 1.0)
+    triangles = np.array(
+        [(face[0], face[n], face[n + 1]) for face in faces for n in range(1, len(face) - 1)]
+    )
+    vertices, triangles = check_closed_mesh(vertices, triangles)
+    whole = np.pi * 0.003**2 * 2 * 0.013 + 4 / 3 * np.pi * 0.003**3
+    assert mesh_volume(vertices, triangles) == pytest.approx(whole, rel=0.08)
+    assert np.ptp(vertices, axis=0)[2] == pytest.approx(0.006)
+    assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-6)

@@ -224,6 +224,7 @@ def test_incomplete_bake_has_its_own_exit_code(
         (["bake", "nowhere.blend"], "There is no file"),
         (["info", "FILE", "--scene", "Stage"], "no scene 'Stage'. There are: Scene"),
         (["export", "FILE"], "required: --output"),
+        (["demo", "--scene", "moon"], "invalid choice: 'moon'"),
     ],
 )
 def test_wrong_usage_is_explained(
