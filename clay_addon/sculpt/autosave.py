@@ -28,6 +28,7 @@ _SUFFIX = ".clay-autosave.npz"
 _EVERY = 5.0
 """While the clay moves, it is saved this often [s]."""
 _VERSION = 1
+_NEVER_SAVED = "Save the .blend once: until then a crash would take the clay with it."
 
 message = ""
 """What was taken up when the file was opened, as a sentence; empty where nothing was."""
@@ -63,7 +64,12 @@ class Autosave:
     def begin(self, scene: bpy.types.Scene) -> None:
         """Begin to save what is shown, unless the last time is still going on."""
         path = autosave_path(bpy.data.filepath)
-        if path is None or (self._writing is not None and not self._writing.done()):
+        if path is None:
+            self.problem = _NEVER_SAVED
+            return
+        if self.problem == _NEVER_SAVED:
+            self.problem = ""
+        if self._writing is not None and not self._writing.done():
             return
         if self._writing is not None:
             error = self._writing.exception()

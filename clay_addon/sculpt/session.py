@@ -234,6 +234,9 @@ class SculptSession:
             self._changed = True
             self._touched_at = self._clock()
             self._take.edit(edits)
+            if not self._is_other(scene):
+                # Paint shows at once, also on clay that does not move.
+                self._offer_surface(scene)
 
     def _look_at(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
         """See what a step came to, before the next one."""

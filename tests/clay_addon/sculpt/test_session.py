@@ -14,6 +14,7 @@ import trimesh
 from tactile_clay.clay_addon import playback
 from tactile_clay.clay_addon.bake import BakeError, bake
 from tactile_clay.clay_addon.clay_points import is_sculpted
+from tactile_clay.clay_addon.live_surface import OBJECT_NAME
 from tactile_clay.clay_addon.make_clay import make_clay
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.edits import Edit
@@ -335,6 +336,23 @@ def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting)
     # The last clay of an object is not taken away.
     assert len(clay.data.points) > 0
     assert len(clay.data.attributes["rest_position"].data) == len(clay.data.points)
+
+
+def test_paint_shows_on_clay_that_is_still(studio: Any, sculpting: Sculpting) -> None:
+    """Have a new surface made when only colours change."""
+    sculpting.run(0.3)
+    blue = (0.0, 0.0, 1.0, 1.0)
+    sculpting.finger.edits = [Edit("paint", (0.0, 0.0, 0.03), 0.03, color=blue)]
+    for _ in range(200):
+        sculpting.run(1 / 60)
+        shown = bpy.data.objects.get(OBJECT_NAME)
+        layer = shown.data.attributes.get("Color") if shown is not None else None
+        if layer is not None:
+            colors = np.empty((len(layer.data), 4), np.float32)
+            layer.data.foreach_get("color", colors.ravel())
+            if colors[:, 2].max() > 0.9:
+                return
+    raise AssertionError("The paint never showed.")
 
 
 def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
