@@ -9,6 +9,7 @@ import bpy
 from . import playback
 from .bake import BakeError, BakeProgress, BakeResult, bake_steps, free
 from .cache import CacheError
+from .redraw import redraw_views
 
 running: BakeProgress | None = None
 """How far the bake in the interface is; None while there is none."""
@@ -132,7 +133,7 @@ class _BakeOperator:
             f"Baking clay: frame {running.frame}, {running.done} of {running.total}, "
             f"{duration_text(running.seconds_left)} left   Esc: stop"
         )
-        _redraw(context)
+        redraw_views()
         return True
 
     def _finish(self, context: bpy.types.Context) -> None:
@@ -147,7 +148,7 @@ class _BakeOperator:
         if context.workspace:
             context.workspace.status_text_set(None)
         playback.refresh(context.scene)
-        _redraw(context)
+        redraw_views()
 
     def _report_result(self, result: BakeResult) -> set[str]:
         for warning in result.warnings:
@@ -199,13 +200,6 @@ class CLAY_OT_free(bpy.types.Operator):  # noqa: N801
             return {"CANCELLED"}
         self.report({"INFO"}, f"{size_text(size)} freed")
         return {"FINISHED"}
-
-
-def _redraw(context: bpy.types.Context) -> None:
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 _CLASSES = (CLAY_OT_bake, CLAY_OT_resume, CLAY_OT_free)

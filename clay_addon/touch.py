@@ -18,6 +18,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import ArrayLike
 
 from .app_handlers import add_handlers, remove_handlers
+from .redraw import redraw_views
 from .touch_array import placed_array
 from .touch_properties import device_name
 
@@ -215,10 +216,7 @@ def _look() -> float | None:
         return None
     client.hello()
     read_status()
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw_views()
     return _LOOK_EVERY
 
 

@@ -9,6 +9,7 @@ from bpy.app.handlers import persistent
 from ..app_handlers import add_handlers, remove_handlers
 from ..clay_points import keep_sculpted, replace_points
 from ..look import show_colors
+from ..redraw import redraw_views
 from . import overlay, session
 from .brush import Brush
 from .properties import SceneSource
@@ -74,10 +75,10 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 news = running.tick(context)
                 self._say(context)
                 if news:
-                    redraw(context)
+                    redraw_views()
                 return {"PASS_THROUGH"}
             if brush.handle(context, event, running.positions):
-                redraw(context)
+                redraw_views()
                 return {"RUNNING_MODAL"}
             if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
                 running.wheels.press_pedal(context.scene, _PEDAL[event.type])
@@ -121,7 +122,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 self.report({"INFO"}, message)
         if context.workspace:
             context.workspace.status_text_set(None)
-        redraw(context)
+        redraw_views()
         return {"FINISHED"}
 
 
@@ -183,14 +184,6 @@ def status_text(running: SculptSession, brush: Brush) -> str:
     pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
     pedal = "   Page Up, Page Down: wheel faster, slower" if running.wheels else ""
     return f"Sculpting{pace}   {brush.status_text()}{pedal}"
-
-
-def redraw(context: bpy.types.Context) -> None:
-    """Have all 3D views drawn anew."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 @persistent

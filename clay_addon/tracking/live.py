@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .. import bake_operators
 from ..app_handlers import add_handlers, remove_handlers
+from ..redraw import redraw_views
 from . import TrackingError
 from .armature import is_hand, placed, read_target, side_of, write_pose
 from .hand_tracker import HandTracker
@@ -246,10 +247,7 @@ def _tick() -> float | None:
     if not goes_on:
         stop()
         return None
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw_views()
     return STEP_SECONDS
 
 
