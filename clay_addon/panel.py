@@ -7,17 +7,18 @@ import time
 
 import bpy
 
-from . import bake_operators, playback
-from .bake_checks import BakeError, changed_subjects, resolve_directory
-from .bake_operators import duration_text, size_text
-from .cache import Cache, CacheError
-from .clay_scene import SimulationError, clay_objects, collider_objects
-from .hand import hand_message, hand_objects
-from .pack import is_packed
-from .preferences import draw_missing_parts, draw_text
-from .properties import frame_range
-from .scene_digest import scene_digests
-from .user_materials import user_material_folder, user_materials
+from .bake import operators as bake_operators
+from .bake.checks import BakeError, changed_subjects, resolve_directory
+from .bake.operators import duration_text, size_text
+from .base.preferences import draw_missing_parts, draw_text
+from .core.storage.cache import Cache, CacheError
+from .hands.hand import hand_message, hand_objects
+from .model.clay_scene import SimulationError, clay_objects, collider_objects
+from .model.digest import scene_digests
+from .model.properties import frame_range
+from .model.user_materials import user_material_folder, user_materials
+from .playback import playback
+from .playback.pack import is_packed
 
 _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""

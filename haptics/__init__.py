@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From contact forces to focal points on an ultrasound array. Never imports Blender."""
 
-from .acoustic_field import acoustic_field
+from .acoustics.acoustic_field import acoustic_field
+from .acoustics.drive import solve_drive
+from .acoustics.drive_steps import drive_steps
+from .acoustics.transducer_array import TransducerArray
 from .array_server import ArrayClient, ArrayStatus
-from .drive import solve_drive
-from .drive_steps import drive_steps
-from .focal_points import Foci, focus, reconstruct
-from .pressure_field import PressureField
-from .skin_sensitivity import SkinSensitivity
-from .spatiotemporal import Route, plan_route
-from .transducer_array import TransducerArray
+from .foci.focal_points import Foci, focus, reconstruct
+from .foci.spatiotemporal import Route, plan_route
+from .skin.pressure_field import PressureField
+from .skin.sensitivity import SkinSensitivity
 
 __all__ = [
     "ArrayClient",

@@ -7,19 +7,19 @@ What needs Warp is loaded on first use, so that materials and mesh checks cost n
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .closed_mesh import MeshError, check_closed_mesh
-from .material import Material
-from .settings import QUALITIES, Settings
+from .geometry.closed_mesh import MeshError, check_closed_mesh
+from .scene.material import Material
+from .scene.settings import QUALITIES, Settings
 
 if TYPE_CHECKING:
-    from .default_hand import default_hand_rig
-    from .diagnostics import Diagnostics
-    from .fill import fill_mesh
-    from .hand import Hand, HandContacts
-    from .hand_binding import bind_hand
-    from .hand_rig import HandRig
-    from .scene import ClayBody, MeshCollider, Plane, Scene
-    from .skinned_hand import SkinnedHand
+    from .geometry.fill import fill_mesh
+    from .hand.binding import bind_hand
+    from .hand.default_hand import default_hand_rig
+    from .hand.rig import HandRig
+    from .hand.skinned_hand import SkinnedHand
+    from .scene.diagnostics import Diagnostics
+    from .scene.hand import Hand, HandContacts
+    from .scene.scene import ClayBody, MeshCollider, Plane, Scene
     from .solver import Solver
 
 __all__ = [
@@ -44,19 +44,19 @@ __all__ = [
 ]
 
 _LOADED_ON_USE = {
-    "ClayBody": "scene",
-    "Diagnostics": "diagnostics",
-    "Hand": "hand",
-    "HandContacts": "hand",
-    "HandRig": "hand_rig",
-    "MeshCollider": "scene",
-    "Plane": "scene",
-    "Scene": "scene",
-    "SkinnedHand": "skinned_hand",
+    "ClayBody": "scene.scene",
+    "Diagnostics": "scene.diagnostics",
+    "Hand": "scene.hand",
+    "HandContacts": "scene.hand",
+    "HandRig": "hand.rig",
+    "MeshCollider": "scene.scene",
+    "Plane": "scene.scene",
+    "Scene": "scene.scene",
+    "SkinnedHand": "hand.skinned_hand",
     "Solver": "solver",
-    "bind_hand": "hand_binding",
-    "default_hand_rig": "default_hand",
-    "fill_mesh": "fill",
+    "bind_hand": "hand.binding",
+    "default_hand_rig": "hand.default_hand",
+    "fill_mesh": "geometry.fill",
 }
 
 

@@ -5,8 +5,8 @@ from typing import Protocol
 
 from numpy.typing import NDArray
 
-from .contact_law import ContactPass
-from .regions import Regions
+from .contact.law import ContactPass
+from .core.regions import Regions
 
 
 class ClayModel(Protocol):

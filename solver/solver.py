@@ -8,19 +8,19 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .clay_model import ClayModel
-from .contact import Contacts
-from .contact_law import MARGIN, ContactPass
-from .diagnostics import Diagnostics
-from .hand import Hand, HandContacts
-from .paper_model import PaperModel
-from .particles import Particles
-from .plastic_bonds import PlasticBonds
-from .regions import Regions
-from .scene import MeshCollider, Plane, Scene
-from .settings import BASE_STEP, Settings
-from .soft_hand import SoftHand
-from .soft_hand_flesh import yielded_part
-from .soft_hand_hold import held_part
+from .contact.contacts import Contacts
+from .contact.law import MARGIN, ContactPass
+from .core.particles import Particles
+from .core.regions import Regions
+from .paper.model import PaperModel
+from .plastic_bonds.model import PlasticBonds
+from .scene.diagnostics import Diagnostics
+from .scene.hand import Hand, HandContacts
+from .scene.scene import MeshCollider, Plane, Scene
+from .scene.settings import BASE_STEP, Settings
+from .soft_hand.flesh import yielded_part
+from .soft_hand.hold import held_part
+from .soft_hand.soft_hand import SoftHand
 
 CLAY_STRIDE = 0.5
 """The fastest clay moves this far in a substep, in spacings: what collides needs that."""

@@ -20,9 +20,9 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ..app_handlers import add_handlers, remove_handlers
-from ..clay_points import keep_sculpted, replace_points
-from ..clay_scene import clay_colors, clay_objects, read_points
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..model.clay_points import keep_sculpted, replace_points
+from ..model.clay_scene import clay_colors, clay_objects, read_points
 
 _SUFFIX = ".clay-autosave.npz"
 _EVERY = 5.0

@@ -7,9 +7,9 @@ from typing import Any
 
 import bpy
 
+from ..core.tools.tools import BY_IDENTIFIER, TOOLS, tool_items
 from . import session
 from .properties import stamp_fault
-from .tools import BY_IDENTIFIER, TOOLS, tool_items
 
 
 class CLAY_OT_sculpt_tool(bpy.types.Operator):  # noqa: N801

@@ -6,12 +6,12 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from ..app_handlers import add_handlers, remove_handlers
-from ..clay_points import keep_sculpted, replace_points
-from ..look import show_colors
-from ..redraw import redraw_views
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.redraw import redraw_views
+from ..clay.look import show_colors
+from ..core.brush.brush import Brush
+from ..model.clay_points import keep_sculpted, replace_points
 from . import overlay, session
-from .brush import Brush
 from .properties import SceneSource
 from .session import SculptSession
 from .session_checks import SculptError

@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from .brush import Brush
-from .mirror import mirror_matrices
-from .rigid import frame_of, tangent_of
-from .settings import ToolMesh
+from ..core.brush.brush import Brush
+from ..core.brush.mirror import mirror_matrices
+from ..core.brush.rigid import frame_of, tangent_of
+from ..core.tools.settings import ToolMesh
 
 _FELT = (0.82, 0.80, 0.76, 0.92)
 _UNFELT = (0.82, 0.80, 0.76, 0.45)

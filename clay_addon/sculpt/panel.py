@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..clay_scene import clay_objects
-from ..preferences import draw_text
+from ..base.preferences import draw_text
+from ..model.clay_scene import clay_objects
 from . import autosave, session
 from .header import draw_brush
 

@@ -10,14 +10,14 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ..app_handlers import add_handlers, remove_handlers
-from ..clay_scene import clay_objects
-from ..tool_presets import ToolPreset, ToolPresetError
-from ..tool_stamp import stamp_from_object
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..core.brush.adjust import Adjusted
+from ..core.tools.presets import ToolPreset, ToolPresetError
+from ..core.tools.settings import BrushSettings
+from ..core.tools.tools import BY_IDENTIFIER, tool_items
+from ..model.clay_scene import clay_objects
 from . import session
-from .adjust import Adjusted
-from .settings import BrushSettings
-from .tools import BY_IDENTIFIER, tool_items
+from .tool_stamp import stamp_from_object
 
 _RADIUS = 0.012
 """[m]"""

@@ -18,30 +18,36 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...solver.recording_lock import recording_lock
-from ..bake_touch import own_touch
-from ..clay_points import keep_sculpted, write_points
-from ..clay_scene import SimulationError, clay_colors, clay_objects, read_points, solver_device
-from ..live_surface import LiveSurface
-from ..mesh_geometry import local_from_world, transform
-from ..playback import paused, refresh
-from ..simulation import Simulation
-from ..wheel_live import LiveWheels
+from ...solver.core.recording_lock import recording_lock
+from ..base.mesh_geometry import local_from_world, transform
+from ..core.session.frame_budget import FrameBudget
+from ..core.session.pace import STEP_SECONDS, Pace
+from ..core.session.solver_worker import SolverWorker, Stepped, step
+from ..core.tools.interface import NoTools, Tools
+from ..model.clay_points import keep_sculpted, write_points
+from ..model.clay_scene import (
+    SimulationError,
+    clay_colors,
+    clay_objects,
+    read_points,
+    solver_device,
+)
+from ..playback.playback import paused, refresh
+from ..simulate.simulation import Simulation
+from ..touch.bake_touch import own_touch
+from ..wheel.live import LiveWheels
 from .autosave import Autosave
 from .clay_edits import edit_clay
-from .frame_budget import FrameBudget
+from .live_surface import LiveSurface
 from .live_touch import LiveTouch
-from .pace import STEP_SECONDS, Pace
 from .session_checks import SculptError, check_free
 from .session_take import SessionTake
-from .solver_worker import SolverWorker, Stepped, step
 from .structure import structure
-from .tool_interface import NoTools, Tools
 from .undo_states import UndoStates
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider
-    from .edits import Edit
+    from ..core.tools.edits import Edit
 
 _SETTLE_SECONDS = 0.4
 """Hands that have let go of the clay for this long have ended a stroke [s]."""
@@ -385,7 +391,7 @@ class SculptSession:
                 self._offer_surface(context.scene)
 
         def build() -> Stepped:
-            from ..quick_surface import load_kernels
+            from ..core.surface.quick.surface import load_kernels
 
             with recording_lock:
                 load_kernels()

@@ -13,8 +13,8 @@ from collections import OrderedDict
 import bpy
 from numpy.typing import NDArray
 
-from ..clay_scene import clay_objects
-from .take import Mark
+from ..model.clay_scene import clay_objects
+from ..take.take import Mark
 
 _MARK = "clay_state"
 _MOST_BYTES = 256_000_000

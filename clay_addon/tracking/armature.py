@@ -8,10 +8,10 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from . import TrackingError
-from .bone_names import joints_of_bones, side_of_bones
-from .presence import Hand
-from .retarget import HandTarget, RetargetError
+from ..core.tracking import TrackingError
+from ..core.tracking.hand.bone_names import joints_of_bones, side_of_bones
+from ..core.tracking.hand.presence import Hand
+from ..core.tracking.hand.retarget import HandTarget, RetargetError
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import bpy
 import numpy as np
 from mathutils import Quaternion, Vector
 
-from ..keyed_channels import Channel, write_channels
-from . import TrackingError
+from ..base.keyed_channels import Channel, write_channels
+from ..core.tracking import TrackingError
+from ..core.tracking.protocol.joints import SIDES
+from ..core.tracking.recording.recording import Entry
+from ..core.tracking.recording.resample import resampled_hands
 from .armature import CONTACT_PROPERTY, local_poses, placed, read_target
-from .joints import SIDES
-from .recording import Entry
-from .resample import resampled_hands
 
 _LONGEST = 200_000
 """Frames; a recording longer than that holds a wrong time."""

@@ -14,20 +14,20 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from .. import bake_operators
-from ..app_handlers import add_handlers, remove_handlers
-from ..redraw import redraw_views
-from . import TrackingError
+from ..bake import operators as bake_operators
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.redraw import redraw_views
+from ..core.tracking import TrackingError
+from ..core.tracking.hand.hand_tracker import HandTracker
+from ..core.tracking.hand.measured_hand import measured_hand
+from ..core.tracking.hand.presence import Hand, State
+from ..core.tracking.hand.retarget import HandTarget
+from ..core.tracking.protocol.joints import SIDES
+from ..core.tracking.protocol.packet import HandFrame
+from ..core.tracking.protocol.receiver import Receiver
+from ..core.tracking.recording.recording import Recorder
+from ..core.tracking.sources.sender_process import SenderProcess
 from .armature import is_hand, placed, read_target, side_of, write_pose
-from .hand_tracker import HandTracker
-from .joints import SIDES
-from .measured_hand import measured_hand
-from .packet import HandFrame
-from .presence import Hand, State
-from .receiver import Receiver
-from .recording import Recorder
-from .retarget import HandTarget
-from .sender_process import SenderProcess
 
 STEP_SECONDS = 1.0 / 60.0
 _RECENT = 300
@@ -202,7 +202,7 @@ def sender_command(scene: bpy.types.Scene) -> list[str]:
         return [bpy.app.binary_path, "--background", "--command", "clay", "track", *words]
     # The bpy module has no program of its own, but a Python with this package installed.
     package = __name__.partition(".clay_addon.")[0]
-    entry = f"from {package}.clay_addon.command_line import run; run()"
+    entry = f"from {package}.clay_addon.command.line import run; run()"
     return [sys.executable, "-c", entry, "track", *words]
 
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import bpy
 
-from . import TrackingError, live
+from ..core.tracking import TrackingError
+from ..core.tracking.recording.recording import read_recording
+from . import live
 from .keyframes import import_recording
-from .recording import read_recording
 
 
 class CLAY_OT_tracking_start(bpy.types.Operator):  # noqa: N801

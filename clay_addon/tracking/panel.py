@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..preferences import draw_text
+from ..base.preferences import draw_text
+from ..core.tracking.protocol.joints import SIDES
 from . import live
-from .joints import SIDES
 
 _STATE_ICONS = {"live": "CHECKMARK", "held": "PAUSE", "lost": "X"}
 

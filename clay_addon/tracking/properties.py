@@ -3,7 +3,7 @@
 
 import bpy
 
-from .packet import PORT
+from ..core.tracking.protocol.packet import PORT
 
 
 def _is_armature(_: object, item: bpy.types.Object) -> bool:

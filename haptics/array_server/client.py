@@ -18,7 +18,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .datagram import (
+from ..protocol.datagram import (
     MAXIMUM_FOCI,
     MAXIMUM_SIZE,
     Datagram,

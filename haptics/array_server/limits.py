@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..transducer_array import TransducerArray
-from .datagram import Datagram, DatagramError, Kind, decode
+from ..acoustics.transducer_array import TransducerArray
+from ..protocol.datagram import Datagram, DatagramError, Kind, decode
 
 STALE_AFTER = 0.150
 """Sound goes off when the newest focal points are older than this [s]."""

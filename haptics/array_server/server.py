@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from ..acoustics.drive import solve_drive
 from ..devices import Device, DeviceError, Emission
-from ..drive import solve_drive
-from .datagram import MAXIMUM_SIZE, Datagram, Kind, Modulation, encode
+from ..protocol.datagram import MAXIMUM_SIZE, Datagram, Kind, Modulation, encode
 from .guard import Guard
 from .limits import STALE_AFTER, Gate, Limits, OnTime, RefusedError, cap_drive
 

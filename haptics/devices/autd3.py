@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..transducer_array import TransducerArray
+from ..acoustics.transducer_array import TransducerArray
 from .device import MODULATION_FREQUENCY, Device, DeviceError, DeviceName, Emission
 
 WATCHDOG_MILLISECONDS = 150

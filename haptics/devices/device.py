@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..transducer_array import TransducerArray
+from ..acoustics.transducer_array import TransducerArray
 
 MODULATION_FREQUENCY = 200.0
 """Frequency at which sound goes on and off so that it is felt [Hz]."""

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drive_steps import drive_steps
-from ..transducer_array import TransducerArray
+from ..acoustics.drive_steps import drive_steps
+from ..acoustics.transducer_array import TransducerArray
 from .device import MODULATION_FREQUENCY, Device, DeviceError, DeviceName, Emission, FoundDevice
 from .ftdi_fifo import FtdiFifo, find_chips, load_pyusb, serial_number
 

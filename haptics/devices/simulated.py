@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..acoustic_field import acoustic_field
-from ..transducer_array import TransducerArray
+from ..acoustics.acoustic_field import acoustic_field
+from ..acoustics.transducer_array import TransducerArray
 from .device import Device, DeviceError, DeviceName, Emission
 
 _FRAME_SECONDS = {

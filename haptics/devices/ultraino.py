@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..drive_steps import drive_steps
-from ..transducer_array import TransducerArray
+from ..acoustics.drive_steps import drive_steps
+from ..acoustics.transducer_array import TransducerArray
 from .device import MODULATION_FREQUENCY, Device, DeviceError, DeviceName, FoundDevice
 from .exchanging_board import DeviceExchangingBoard
 from .serial_port import list_ports

@@ -237,8 +237,9 @@ def kindergarten(settings: Settings, device: str) -> Run:
     """The kindergarten scene with its two soft hands, from where they touch the clay."""
     import bpy
 
-    from tactile_clay.clay_addon import kindergarten, register
-    from tactile_clay.clay_addon.simulation import Simulation
+    from tactile_clay.clay_addon import register
+    from tactile_clay.clay_addon.scenes import kindergarten
+    from tactile_clay.clay_addon.simulate.simulation import Simulation
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if not hasattr(bpy.types.Object, "tactile_clay"):

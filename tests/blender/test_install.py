@@ -32,7 +32,7 @@ for module in (pysplashsurf, trimesh, warp, websockets):
 
 DEMO = """
 import sys
-from bl_ext.user_default.tactile_clay.clay_addon import demo
+from bl_ext.user_default.tactile_clay.clay_addon.command import demo
 
 output = sys.argv[sys.argv.index("--") + 1]
 print("DEMO", demo.main(["--output", output, "--frames", "2", "--width", "32", "--samples", "1"]))

@@ -48,8 +48,9 @@ bpy.ops.preferences.addon_enable(module=module)
 PANEL = """
 import bpy
 
-from bl_ext.user_default.tactile_clay.clay_addon import bake_operators, panel
-from bl_ext.user_default.tactile_clay.clay_addon.playback import cache_of
+from bl_ext.user_default.tactile_clay.clay_addon import panel
+from bl_ext.user_default.tactile_clay.clay_addon.bake import operators as bake_operators
+from bl_ext.user_default.tactile_clay.clay_addon.playback.playback import cache_of
 
 drawn = []
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from tactile_clay.clay_addon.tracking.recording import Recorder
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder
+from tactile_clay.tests.clay_addon.core.tracking.hands import MILLISECOND, frame_at
 
 STEPS = (Path(__file__).parent / "window_steps.py").read_text(encoding="utf-8")
 COMMON = """

@@ -7,7 +7,7 @@ from typing import Any
 from .test_sculpt import COMMON, STEPS
 
 RECORDED = """
-bake_operators = importlib.import_module(MODULE + ".clay_addon.bake_operators")
+bake_operators = importlib.import_module(MODULE + ".clay_addon.bake.operators")
 
 def top_of(item):
     values = np.empty((len(item.data.points), 3), np.float32)

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 
 bpy.ops.preferences.addon_enable(module="bl_ext.user_default.tactile_clay")
-from bl_ext.user_default.tactile_clay.clay_addon import touch
-from bl_ext.user_default.tactile_clay.haptics.touch_pipeline import TouchFrame
+from bl_ext.user_default.tactile_clay.clay_addon.touch import touch
+from bl_ext.user_default.tactile_clay.haptics.foci.pipeline import TouchFrame
 
 scene = bpy.context.scene
 bpy.ops.clay.array_add(preset="openmpd")

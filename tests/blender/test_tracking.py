@@ -3,8 +3,8 @@
 
 from typing import Any
 
-from tactile_clay.clay_addon.tracking.recording import Recorder
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at
+from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder
+from tactile_clay.tests.clay_addon.core.tracking.hands import MILLISECOND, frame_at
 
 TRACK = """
 import os
@@ -16,9 +16,11 @@ from mathutils import Matrix
 
 PACKAGE = "bl_ext.user_default.tactile_clay"
 from bl_ext.user_default.tactile_clay.clay_addon.tracking import live, panel
-from bl_ext.user_default.tactile_clay.clay_addon.tracking.joints import PARENTS, reference_hand
-from bl_ext.user_default.tactile_clay.clay_addon.tracking.retarget import Z_UP
-from bl_ext.user_default.tactile_clay.clay_addon.tracking.joints import JOINT_NAMES
+from bl_ext.user_default.tactile_clay.clay_addon.core.tracking.protocol.joints import (
+    PARENTS, reference_hand
+)
+from bl_ext.user_default.tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
+from bl_ext.user_default.tactile_clay.clay_addon.core.tracking.protocol.joints import JOINT_NAMES
 
 recording = sys.argv[sys.argv.index("--") + 1]
 drawn = []

@@ -17,7 +17,7 @@ bpy.ops.wm.save_userpref()
 LOOK = f"""
 import bpy
 import warp
-from {MODULE}.clay_addon.preferences import ADDON_VERSION
+from {MODULE}.clay_addon.base.preferences import ADDON_VERSION
 print("FOUND", ADDON_VERSION, bpy.context.preferences.addons[{MODULE!r}].preferences.device)
 print("WARP", warp.__file__)
 """

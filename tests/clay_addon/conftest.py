@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A fresh Blender with the add-on for each test, and the few objects the tests are about."""
+"""A fresh Blender with the add-on for each test, a mouse over clay, and tracked hands."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,9 +8,13 @@ from typing import Any
 import bpy
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 
 import tactile_clay
+from tactile_clay.clay_addon.core.tracking.protocol.receiver import Receiver
+from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Mouse
+from tactile_clay.tests.clay_addon.core.tracking.hands import Clock, leap_recordings
 
 
 class Studio:
@@ -37,7 +41,7 @@ class Studio:
 
     def clay(self, name: str = "Clay", **block: Any) -> Any:
         """Add a block of clay with 64 particles at a spacing of one centimetre."""
-        from tactile_clay.clay_addon.make_clay import make_clay
+        from tactile_clay.clay_addon.clay.make_clay import make_clay
 
         return make_clay(bpy.context, [self.block(**block)], spacing=0.01, name=name)
 
@@ -110,3 +114,38 @@ def studio() -> Iterator[Studio]:
     yield Studio()
     tactile_clay.unregister()
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """A clock that stands until it is turned."""
+    return Clock()
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    """A receiver on a port of the system's choice."""
+    with Receiver(0) as receiver:
+        yield receiver
+
+
+# How long an example takes says nothing on a machine that does other things as well.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
+
+_RECORDINGS: list[Path | None] = [*leap_recordings()] or [None]
+
+
+@pytest.fixture(params=_RECORDINGS, ids=lambda path: path.name if path else "none")
+def leap_recording(request: pytest.FixtureRequest) -> Any:
+    """Each of the real recordings."""
+    if request.param is None:
+        pytest.skip("the Leap recordings are not here")
+    path: Path = request.param
+    return path
+
+
+@pytest.fixture
+def mouse() -> Mouse:
+    """A mouse with a brush over a block of clay of ten centimetres."""
+    return Mouse()

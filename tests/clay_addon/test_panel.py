@@ -8,8 +8,9 @@ from typing import Any
 import bpy
 import pytest
 
-from tactile_clay.clay_addon import delivery_panel, panel
-from tactile_clay.clay_addon.bake import bake
+from tactile_clay.clay_addon import panel
+from tactile_clay.clay_addon.bake.bake import bake
+from tactile_clay.clay_addon.deliver import panel as delivery_panel
 
 
 class Layout:

@@ -11,7 +11,7 @@ import pytest
 
 import tactile_clay
 from tactile_clay import clay_addon
-from tactile_clay.clay_addon import preferences
+from tactile_clay.clay_addon.base import preferences
 
 OPERATORS = ("make", "collider_add", "collider_remove", "bake", "resume", "free")
 

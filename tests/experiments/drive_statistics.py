@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_clay.haptics import TransducerArray, acoustic_field, solve_drive
-from tactile_clay.haptics.drive import METHODS
+from tactile_clay.haptics.acoustics.drive import METHODS
 from tactile_clay.tests.haptics.target_sets import Targets, random_targets
 
 

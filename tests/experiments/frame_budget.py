@@ -61,7 +61,7 @@ class Ball:
 
     def meshes(self) -> list[Any]:
         """The ball."""
-        from tactile_clay.clay_addon.sculpt.settings import ToolMesh
+        from tactile_clay.clay_addon.core.tools.settings import ToolMesh
 
         ball = trimesh.creation.icosphere(3, 0.012)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
@@ -82,11 +82,11 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
     """Sculpt for some simulated time, in this process's Blender."""
     import bpy
 
-    from tactile_clay.clay_addon.add_hand import add_hand
-    from tactile_clay.clay_addon.collider import make_collider
-    from tactile_clay.clay_addon.make_clay import make_clay
+    from tactile_clay.clay_addon.clay.make_clay import make_clay
+    from tactile_clay.clay_addon.hands.add_hand import add_hand
+    from tactile_clay.clay_addon.model.collider import make_collider
     from tactile_clay.clay_addon.sculpt import session as sessions
-    from tactile_clay.clay_addon.touch_array import add_array
+    from tactile_clay.clay_addon.touch.array import add_array
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     context = bpy.context
@@ -123,7 +123,7 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
 
 def _lowest(context: Any, armature: Any) -> float:
     """Height of the lowest point of a hand's skin [m]."""
-    from tactile_clay.clay_addon.mesh_geometry import evaluated_mesh, transform
+    from tactile_clay.clay_addon.base.mesh_geometry import evaluated_mesh, transform
 
     skin = armature.children[0]
     depsgraph = context.evaluated_depsgraph_get()

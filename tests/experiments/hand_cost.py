@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from tactile_clay.solver import Material, Scene, Solver
-from tactile_clay.solver.hand_rig import HandRig
-from tactile_clay.solver.soft_hand import SoftHand
+from tactile_clay.solver.hand.rig import HandRig
+from tactile_clay.solver.soft_hand.soft_hand import SoftHand
 
 from .hand_shapes import posed, slab
 from .shapes import at, block

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
-from tactile_clay.solver.hand_rig import HandRig
+from tactile_clay.solver.hand.rig import HandRig
 
 from .hand_shapes import finger, posed
 from .pieces import pieces

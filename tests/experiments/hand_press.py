@@ -7,9 +7,9 @@ import numpy as np
 import warp as wp
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
-from tactile_clay.solver.hand_rig import HandRig
-from tactile_clay.solver.soft_hand_flesh import Flesh
-from tactile_clay.solver.soft_hand_rest import rest_of
+from tactile_clay.solver.hand.rig import HandRig
+from tactile_clay.solver.soft_hand.flesh import Flesh
+from tactile_clay.solver.soft_hand.rest import rest_of
 
 from .hand_shapes import finger, posed
 from .shapes import at, block

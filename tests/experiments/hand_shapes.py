@@ -6,8 +6,8 @@ import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
-from tactile_clay.solver.ghosts import rasterize_ghosts
-from tactile_clay.solver.hand_rig import HandRig
+from tactile_clay.solver.hand.ghosts import rasterize_ghosts
+from tactile_clay.solver.hand.rig import HandRig
 
 
 @wp.kernel(enable_backward=False)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from tactile_clay.solver.closed_mesh import MeshError
+from tactile_clay.solver.geometry.closed_mesh import MeshError
 
 from .shapes import at, ball, block
 from .survival import RELEASE_SPEED, SPACING, HardCase, on_table, survive

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_clay.clay_addon.quick_surface import QuadSurface, QuickSurface
-from tactile_clay.clay_addon.surface import Surface, reconstruct
+from tactile_clay.clay_addon.core.surface.exact import Surface, reconstruct
+from tactile_clay.clay_addon.core.surface.quick.surface import QuadSurface, QuickSurface
 
 SIZES = {
     "2k": (13, 13, 13),
@@ -137,7 +137,7 @@ def _write_milliseconds(surface: QuadSurface) -> float | None:
         return None
     import bpy
 
-    from tactile_clay.clay_addon.surface_mesh import fill_surface_mesh
+    from tactile_clay.clay_addon.base.surface_mesh import fill_surface_mesh
 
     mesh = bpy.data.meshes.new("Timed")
 

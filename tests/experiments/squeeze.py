@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
-from tactile_clay.solver.closed_mesh import mesh_volume
+from tactile_clay.solver.geometry.closed_mesh import mesh_volume
 
 from .pieces import pieces
 from .shapes import at, block

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_clay.clay_addon.tracking.hand_tracker import HandTracker
-from tactile_clay.clay_addon.tracking.recording import Recorder
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, frame_at, shown
+from tactile_clay.clay_addon.core.tracking.hand.hand_tracker import HandTracker
+from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder
+from tactile_clay.tests.clay_addon.core.tracking.hands import MILLISECOND, frame_at, shown
 from tactile_clay.tests.experiments.tracked_hands_picture import (
     contact_sheet,
     hand_triangles,

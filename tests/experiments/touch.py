@@ -26,10 +26,10 @@ from tactile_clay.haptics import (
     reconstruct,
     solve_drive,
 )
-from tactile_clay.haptics.acoustic_field import propagation
-from tactile_clay.haptics.pressure_field import CEILING, GhostContacts
+from tactile_clay.haptics.acoustics.acoustic_field import propagation
+from tactile_clay.haptics.skin.pressure_field import CEILING, GhostContacts
 from tactile_clay.solver import Material
-from tactile_clay.solver.hand_rig import HandRig
+from tactile_clay.solver.hand.rig import HandRig
 from tactile_clay.tests.haptics.hands import bare_rig, vertex_normals_and_areas
 
 from .press import press

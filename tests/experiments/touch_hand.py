@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_clay.haptics import SkinSensitivity
 from tactile_clay.solver import Material, Scene, Solver
-from tactile_clay.solver.default_hand import default_hand_rig
+from tactile_clay.solver.hand.default_hand import default_hand_rig
 from tactile_clay.tests.haptics.hands import vertex_normals_and_areas
 
 from . import touch_pictures

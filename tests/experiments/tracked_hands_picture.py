@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_clay.clay_addon.tracking.joints import (
+from tactile_clay.clay_addon.core.tracking.hand.presence import Hand
+from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP, HandTarget
+from tactile_clay.clay_addon.core.tracking.protocol.joints import (
     FINGERS,
     JOINT_NAMES,
     PARENTS,
     WRIST,
     reference_hand,
 )
-from tactile_clay.clay_addon.tracking.presence import Hand
-from tactile_clay.clay_addon.tracking.recording import read_recording
-from tactile_clay.clay_addon.tracking.resample import resampled_hands
-from tactile_clay.clay_addon.tracking.retarget import Z_UP, HandTarget
+from tactile_clay.clay_addon.core.tracking.recording.recording import read_recording
+from tactile_clay.clay_addon.core.tracking.recording.resample import resampled_hands
 
 Array = NDArray[np.float64]
 

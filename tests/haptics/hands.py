@@ -6,9 +6,9 @@ from functools import cache
 
 import numpy as np
 
-from tactile_clay.solver.hand_mesh import hand_mesh
-from tactile_clay.solver.hand_rig import HandRig
-from tactile_clay.solver.hand_shape import HandPose, hand_shape
+from tactile_clay.solver.hand.mesh import hand_mesh
+from tactile_clay.solver.hand.rig import HandRig
+from tactile_clay.solver.hand.shape import HandPose, hand_shape
 
 __all__ = ["bare_rig", "hand_shape", "vertex_normals_and_areas"]
 

@@ -9,15 +9,20 @@ import warp as wp
 
 SOLVER = Path(__file__).resolve().parents[2] / "solver"
 WITH_KERNELS = sorted(
-    path.stem
-    for path in SOLVER.glob("*.py")
+    ".".join(path.relative_to(SOLVER).with_suffix("").parts)
+    for path in SOLVER.rglob("*.py")
     if "@wp.kernel" in path.read_text(encoding="utf-8") and not path.stem.endswith("_cpu")
 )
 
 
 def test_there_are_kernels():
     """Find the modules that hold kernels."""
-    assert {"contact_law", "neighbors", "pair_rows", "particles"} <= set(WITH_KERNELS)
+    assert {
+        "contact.law",
+        "plastic_bonds.pairs.neighbors",
+        "plastic_bonds.pairs.rows",
+        "core.particles",
+    } <= set(WITH_KERNELS)
 
 
 @pytest.mark.parametrize("name", WITH_KERNELS)

@@ -10,7 +10,7 @@ import trimesh
 import warp as wp
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
-from tactile_clay.solver.plastic_bonds import PlasticBonds
+from tactile_clay.solver.plastic_bonds.model import PlasticBonds
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005

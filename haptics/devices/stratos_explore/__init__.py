@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ...array_server.datagram import Kind, Modulation, encode
-from ...transducer_array import TransducerArray
+from ...acoustics.transducer_array import TransducerArray
+from ...protocol.datagram import Kind, Modulation, encode
 from ..device import Device, DeviceError, DeviceName, Emission
 
 _FRAME_SECONDS = 0.010

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The focal points that the array server sends: haptics/array_server/datagram.py says what a datagram
+// The focal points that the array server sends: haptics/protocol/datagram.py says what a datagram
 // holds. Here the fourth number of each point is an intensity in 0 to 1.
 
 #pragma once

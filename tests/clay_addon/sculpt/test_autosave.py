@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.clay_points import is_sculpted, write_points
+from tactile_clay.clay_addon.model.clay_points import is_sculpted, write_points
 from tactile_clay.clay_addon.sculpt import autosave
 from tactile_clay.clay_addon.sculpt.autosave import Autosave, autosave_path, take_up
 
@@ -82,7 +82,7 @@ def test_clay_with_other_many_points_is_taken_up(studio: Any, tmp_path: Path) ->
     """Take up clay that was added during the session."""
     clay = studio.clay()
     path = studio.save(tmp_path)
-    from tactile_clay.clay_addon.clay_points import replace_points
+    from tactile_clay.clay_addon.model.clay_points import replace_points
 
     local = np.random.default_rng(1).uniform(-0.02, 0.02, (100, 3)).astype(np.float32)
     replace_points(bpy.context, clay, local, np.ones((100, 4), np.float32))

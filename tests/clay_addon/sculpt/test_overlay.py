@@ -4,12 +4,12 @@
 import numpy as np
 import pytest
 
+from tactile_clay.clay_addon.core.tools.meshes import tool_parts
+from tactile_clay.clay_addon.core.tools.settings import BrushSettings
+from tactile_clay.clay_addon.core.tools.tools import BY_IDENTIFIER
 from tactile_clay.clay_addon.sculpt import overlay
 from tactile_clay.clay_addon.sculpt.overlay import ring_points, shaded_corners
-from tactile_clay.clay_addon.sculpt.settings import BrushSettings
-from tactile_clay.clay_addon.sculpt.tool_meshes import tool_parts
-from tactile_clay.clay_addon.sculpt.tools import BY_IDENTIFIER
-from tactile_clay.tests.clay_addon.sculpt.fake_mouse import Mouse
+from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Mouse
 
 
 def test_normals_are_round_where_the_tool_is() -> None:

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_clay.clay_addon import playback
-from tactile_clay.clay_addon.bake import BakeError, bake
-from tactile_clay.clay_addon.clay_points import is_sculpted
-from tactile_clay.clay_addon.live_surface import OBJECT_NAME
-from tactile_clay.clay_addon.make_clay import make_clay
+from tactile_clay.clay_addon.bake.bake import BakeError, bake
+from tactile_clay.clay_addon.clay.make_clay import make_clay
+from tactile_clay.clay_addon.core.tools.edits import Edit
+from tactile_clay.clay_addon.core.tools.settings import ToolMesh
+from tactile_clay.clay_addon.model.clay_points import is_sculpted
+from tactile_clay.clay_addon.playback import playback
 from tactile_clay.clay_addon.sculpt import session as sessions
-from tactile_clay.clay_addon.sculpt.edits import Edit
+from tactile_clay.clay_addon.sculpt.live_surface import OBJECT_NAME
 from tactile_clay.clay_addon.sculpt.session import SculptSession
 from tactile_clay.clay_addon.sculpt.session_checks import SculptError
-from tactile_clay.clay_addon.sculpt.settings import ToolMesh
 
 
 @dataclass

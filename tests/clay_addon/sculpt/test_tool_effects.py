@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.solver import Material, Scene, Solver
-from tactile_clay.tests.clay_addon.sculpt.fake_mouse import SPACING, TICK, Mouse
+from tactile_clay.tests.clay_addon.core.brush.fake_mouse import SPACING, TICK, Mouse
 
 
 class Bench:

@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.tracking.joints import FROM_ROOT, JOINT_NAMES, PARENTS
-from tactile_clay.tests.clay_addon.tracking.hands import rig_bones
+from tactile_clay.clay_addon.core.tracking.protocol.joints import FROM_ROOT, JOINT_NAMES, PARENTS
+from tactile_clay.tests.clay_addon.core.tracking.hands import rig_bones
 
 
 def add_hand(

@@ -7,7 +7,16 @@ import bpy
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking.hand.presence import Hand
+from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
+from tactile_clay.clay_addon.core.tracking.hand.skeleton import complete_hand
+from tactile_clay.clay_addon.core.tracking.protocol.joints import (
+    FINGERS,
+    JOINT_COUNT,
+    JOINT_NAMES,
+    PARENTS,
+)
 from tactile_clay.clay_addon.tracking.armature import (
     CONTACT_PROPERTY,
     is_hand,
@@ -16,12 +25,8 @@ from tactile_clay.clay_addon.tracking.armature import (
     side_of,
     write_pose,
 )
-from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_COUNT, JOINT_NAMES, PARENTS
-from tactile_clay.clay_addon.tracking.presence import Hand
-from tactile_clay.clay_addon.tracking.retarget import Z_UP
-from tactile_clay.clay_addon.tracking.skeleton import complete_hand
+from tactile_clay.tests.clay_addon.core.tracking.hands import hand_shape
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
-from tactile_clay.tests.clay_addon.tracking.hands import hand_shape
 
 KINDS = ("openxr", "parentless", "animation")
 

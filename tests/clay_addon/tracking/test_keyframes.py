@@ -11,14 +11,23 @@ import bpy
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking.protocol.joints import FINGERS, JOINT_NAMES, PARENTS
+from tactile_clay.clay_addon.core.tracking.recording.recording import (
+    Entry,
+    Recorder,
+    read_recording,
+)
+from tactile_clay.clay_addon.core.tracking.recording.resample import resampled_hands
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY, placed, read_target
-from tactile_clay.clay_addon.tracking.joints import FINGERS, JOINT_NAMES, PARENTS
 from tactile_clay.clay_addon.tracking.keyframes import import_recording
-from tactile_clay.clay_addon.tracking.recording import Entry, Recorder, read_recording
-from tactile_clay.clay_addon.tracking.resample import resampled_hands
+from tactile_clay.tests.clay_addon.core.tracking.hands import (
+    MILLISECOND,
+    flat_hand,
+    frame_at,
+    shown,
+)
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
-from tactile_clay.tests.clay_addon.tracking.hands import MILLISECOND, flat_hand, frame_at, shown
 
 
 def waving(seconds: float = 1.0, side: str = "right") -> list[Entry]:

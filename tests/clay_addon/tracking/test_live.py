@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 
 import tactile_clay
-from tactile_clay.clay_addon import bake_operators
-from tactile_clay.clay_addon.tracking import TrackingError, live, panel
+from tactile_clay.clay_addon.bake import operators as bake_operators
+from tactile_clay.clay_addon.core.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
+from tactile_clay.clay_addon.core.tracking.protocol.joints import reference_hand
+from tactile_clay.clay_addon.core.tracking.protocol.packet import encode
+from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder, read_recording
+from tactile_clay.clay_addon.tracking import live, panel
 from tactile_clay.clay_addon.tracking.armature import CONTACT_PROPERTY
-from tactile_clay.clay_addon.tracking.joints import reference_hand
-from tactile_clay.clay_addon.tracking.packet import encode
-from tactile_clay.clay_addon.tracking.recording import Recorder, read_recording
-from tactile_clay.clay_addon.tracking.retarget import Z_UP
+from tactile_clay.tests.clay_addon.core.tracking.hands import Clock, frame_at
 from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_positions
-from tactile_clay.tests.clay_addon.tracking.hands import Clock, frame_at
 
 
 class Stage:

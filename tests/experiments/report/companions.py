@@ -16,7 +16,7 @@ from typing import Any
 
 import warp as wp
 
-from tactile_clay.solver.settings import MODELS
+from tactile_clay.solver.scene.settings import MODELS
 
 PARENT = "tactile_clay.tests.experiments"
 

@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from tactile_clay.solver import Settings
-from tactile_clay.solver.settings import MODELS
+from tactile_clay.solver.scene.settings import MODELS
 
 from .point import Outcome
 from .stability import MODULI, Behaviour, Cell, Margin

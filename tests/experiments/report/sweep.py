@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from tactile_clay.solver import Settings
-from tactile_clay.solver.settings import MODELS
+from tactile_clay.solver.scene.settings import MODELS
 
 from .experiment import Experiment
 from .point import Outcome, Point

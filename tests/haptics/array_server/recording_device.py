@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_clay.haptics import TransducerArray
-from tactile_clay.haptics.array_server.datagram import Kind, encode
 from tactile_clay.haptics.array_server.limits import Limits
 from tactile_clay.haptics.array_server.server import ArrayServer
 from tactile_clay.haptics.devices import Device, DeviceError, Emission
+from tactile_clay.haptics.protocol.datagram import Kind, encode
 
 
 class RecordingDevice(Device):

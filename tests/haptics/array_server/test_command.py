@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tactile_clay.clay_addon.command_line import main
+from tactile_clay.clay_addon.command.line import main
 from tactile_clay.haptics import ArrayClient
 from tactile_clay.haptics.array_server import ArrayServerError, Limits, command
 from tactile_clay.haptics.devices import DeviceError, FoundDevice, serial_port
@@ -80,7 +80,7 @@ def has_foci(out: ArrayClient) -> bool:
 
 def start_by_hand(*words: str) -> subprocess.Popen[str]:
     """The command in a process of its own, as people start it."""
-    code = "from tactile_clay.clay_addon.command_line import run; run()"
+    code = "from tactile_clay.clay_addon.command.line import run; run()"
     return subprocess.Popen(
         [sys.executable, "-c", code, "array-server", *words],
         stdout=subprocess.PIPE,

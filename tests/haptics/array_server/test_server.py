@@ -16,8 +16,8 @@ from hypothesis.extra import numpy as hnp
 
 from tactile_clay.haptics import TransducerArray, acoustic_field
 from tactile_clay.haptics.array_server import server as server_module
-from tactile_clay.haptics.array_server.datagram import Kind, encode
 from tactile_clay.haptics.array_server.limits import STALE_AFTER, Limits, OnTime, cap_drive
+from tactile_clay.haptics.protocol.datagram import Kind, encode
 from tactile_clay.tests.haptics.array_server.recording_device import Bench
 
 FOCUS = [(0.0, 0.0, 0.15, 800.0)]

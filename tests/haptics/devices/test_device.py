@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_clay.haptics import TransducerArray, acoustic_field, solve_drive
-from tactile_clay.haptics.devices import (
-    DeviceError,
-    DeviceName,
-    Emission,
-    make_device,
-    serial_port,
-)
+from tactile_clay.haptics.devices import DeviceError, DeviceName, Emission, make_device, serial_port
 from tactile_clay.haptics.devices.simulated import DeviceSimulated
 
 words = st.text("abcXYZ0189_/.-", min_size=1, max_size=12)

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from tactile_clay.haptics import ArrayClient, TransducerArray
 from tactile_clay.haptics.devices import DeviceError, make_device
-from tactile_clay.tests.haptics.peers.harness import (
-    TWO_FOCI,
-    keep_sending,
-    peer,
-    pressures_at,
-)
+from tactile_clay.tests.haptics.peers.harness import TWO_FOCI, keep_sending, peer, pressures_at
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 

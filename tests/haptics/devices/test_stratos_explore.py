@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactile_clay.haptics import ArrayClient
-from tactile_clay.haptics.array_server.datagram import Kind, encode
 from tactile_clay.haptics.devices import DeviceError, make_device
+from tactile_clay.haptics.protocol.datagram import Kind, encode
 from tactile_clay.tests.haptics.peers.harness import PATIENCE, Foci, foci, keep_sending
 
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")

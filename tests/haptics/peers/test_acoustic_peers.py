@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.haptics import TransducerArray, acoustic_field, drive_steps, solve_drive
-from tactile_clay.haptics.acoustic_field import propagation
+from tactile_clay.haptics.acoustics.acoustic_field import propagation
 from tactile_clay.tests.haptics.peers.environments import PEERS, ready
 from tactile_clay.tests.haptics.target_sets import Targets, random_targets
 

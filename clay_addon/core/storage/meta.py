@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a bake was made from, as its cache keeps it in ``meta.json``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from .whole_files import CacheDamagedError
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class ClaySlice:
+    """One clay object's part of every frame."""
+
+    name: str
+    """The object's name."""
+    count: int
+    """Number of its particles; the objects follow each other in the order of the list."""
+
+
+@dataclass(frozen=True)
+class Meta:
+    """What a bake was made from, as kept in ``meta.json``."""
+
+    start: int
+    """First frame: the rest state."""
+    end: int
+    """Last frame that was asked for."""
+    frames_per_second: float
+    """Frames in one second of simulated time [1/s]."""
+    clay: tuple[ClaySlice, ...]
+    """The clay objects, in the order of the particles."""
+    settings: Mapping[str, str]
+    """A digest for each subject that decides the result, so that a change can be named."""
+    owner: str = ""
+    """The .blend file and scene the bake belongs to."""
+    version: str = ""
+    """Version of the add-on that made it."""
+    statistics: Mapping[str, float] = field(default_factory=dict)
+    """Figures of the last bake, for reports."""
+
+    @property
+    def is_take(self) -> bool:
+        """Whether these are the frames of a recorded take: no bake made them."""
+        return "take" in self.settings
+
+    @property
+    def particle_count(self) -> int:
+        """Number of particles in every frame."""
+        return sum(part.count for part in self.clay)
+
+    @property
+    def digest(self) -> bytes:
+        """Sixteen bytes that every frame file of this bake carries."""
+        text = json.dumps(
+            [FORMAT_VERSION, self.start, self.particle_count, sorted(self.settings.items())]
+        )
+        return hashlib.blake2b(text.encode(), digest_size=16).digest()
+
+    def to_json(self) -> str:
+        """The text of ``meta.json``."""
+        table = {"format_version": FORMAT_VERSION, "particle_count": self.particle_count}
+        table.update(asdict(self))
+        return json.dumps(table, indent=2) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Meta:
+        """Read the text of ``meta.json``.
+
+        Raises:
+            CacheDamagedError: The text is not what `to_json` writes.
+        """
+        try:
+            table = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise CacheDamagedError(f"meta.json is not valid JSON ({error})") from error
+        if not isinstance(table, dict):
+            raise CacheDamagedError("meta.json holds no table")
+        version = table.get("format_version")
+        if version != FORMAT_VERSION:
+            raise CacheDamagedError(
+                f"meta.json has format {version!r}, and this version of the add-on reads format "
+                f"{FORMAT_VERSION}"
+            )
+        try:
+            clay = tuple(
+                ClaySlice(_typed(part, "name", str), _typed(part, "count", int))
+                for part in _typed(table, "clay", list)
+            )
+            meta = cls(
+                start=_typed(table, "start", int),
+                end=_typed(table, "end", int),
+                frames_per_second=float(_typed(table, "frames_per_second", float)),
+                clay=clay,
+                settings={
+                    key: _typed(_typed(table, "settings", dict), key, str)
+                    for key in _typed(table, "settings", dict)
+                },
+                owner=_typed(table, "owner", str),
+                version=_typed(table, "version", str),
+                statistics={
+                    key: float(_typed(_typed(table, "statistics", dict), key, float))
+                    for key in _typed(table, "statistics", dict)
+                },
+            )
+        except (KeyError, TypeError, OverflowError) as error:
+            raise CacheDamagedError(f"meta.json lacks or garbles an entry: {error}") from error
+        sane = meta.end >= meta.start and all(part.count > 0 for part in clay)
+        if not sane or not math.isfinite(meta.frames_per_second) or meta.frames_per_second <= 0:
+            raise CacheDamagedError("meta.json has values that make no sense")
+        if table.get("particle_count") != meta.particle_count:
+            raise CacheDamagedError("meta.json's particle counts disagree")
+        return meta
+
+
+def _typed(table: Any, key: str, kind: type) -> Any:
+    value = table[key]
+    accepted = (int, float) if kind is float else kind
+    if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
+        raise TypeError(f"{key!r} is {value!r}")
+    return value

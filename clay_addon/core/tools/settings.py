@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a brush is set to at one moment, in SI units and without Blender."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .presets import ToolPreset
+from .tools import BY_IDENTIFIER, Tool
+
+
+@dataclass(eq=False)
+class ToolMesh:
+    """A closed mesh that works the clay, in its own coordinates."""
+
+    vertices: NDArray[np.float64]
+    """[m], shape [V, 3]."""
+    faces: NDArray[np.int32]
+    """Shape [F, 3]."""
+    friction: float = 0.5
+    """Coulomb friction coefficient."""
+
+
+@dataclass(frozen=True, eq=False)
+class BrushSettings:
+    """What a brush is set to."""
+
+    tool: Tool = BY_IDENTIFIER["FINGER"]
+    """What the mouse holds."""
+    radius: float = 0.012
+    """Of the brush [m]."""
+    strength: float = 0.5
+    """0 to 1."""
+    use_pressure: bool = True
+    """Whether a tablet's pressure counts."""
+    mirror: tuple[bool, bool, bool] = (False, False, False)
+    """Whether strokes are mirrored in X, Y, Z."""
+    mirror_frame: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    """World from the frame whose planes mirror [m], shape [4, 4]; rigid."""
+    color: tuple[float, float, float, float] = (0.72, 0.36, 0.22, 1.0)
+    """Of paint and new clay, linear RGBA."""
+    spacing: float = 0.005
+    """Distance of neighbouring particles [m]."""
+    scale: float = 1.0
+    """Metres in a Blender unit."""
+    stamp: ToolPreset | None = None
+    """What the user stamps with; None for the stamp that comes along."""
+    stamp_key: str = ""
+    """Tells stamps apart."""
+
+    @property
+    def speed(self) -> float:
+        """How fast a tool moves at most [m/s].
+
+        As fast as a hand works, but not more than two spacings in 1/60 s: each substep of the
+        solver takes a collider a quarter of a spacing along its normals.
+        """
+        return self.tool.speed * min(0.6, 120.0 * self.spacing)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Leap service's websocket as a source of hands.
+
+The service listens on port 6437 of this machine. A client asks for protocol 6 by the path, is told
+the version it gets, asks to be served in the background too, and is sent one JSON object a frame.
+Services since Ultraleap Gemini have no websocket any more: there the source ``leapc`` serves.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from types import ModuleType
+
+from .. import TrackingError
+from ..formats.leap import LeapHands
+from .sender import ClockMap, Sighting, sighting
+
+ADDRESS = "ws://127.0.0.1:6437/v6.json"
+_LARGEST_MESSAGE = 1 << 20
+_SILENT_SECONDS = 2.0
+_WAIT_SECONDS = 1.0
+
+
+def leap_service(
+    address: str = ADDRESS,
+    *,
+    sleep: Callable[[float], object] = time.sleep,
+    tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+) -> Generator[Sighting, None, None]:
+    """Hands from the service, for as long as they are asked for; waits for it to come and go.
+
+    Raises:
+        TrackingError: The websockets library is missing, or the service speaks another protocol.
+    """
+    client, exceptions = _library()
+    hands = LeapHands()
+    told = ""
+    while True:
+        try:
+            with client.connect(
+                address, max_size=_LARGEST_MESSAGE, open_timeout=5, compression=None
+            ) as connection:
+                for wish in ({"enableGestures": False}, {"background": True}, {"focused": True}):
+                    connection.send(json.dumps(wish))
+                told = ""
+                clock = ClockMap()
+                while True:
+                    try:
+                        message = connection.recv(timeout=_SILENT_SECONDS)
+                    except TimeoutError:
+                        # A service without a device sends nothing.
+                        yield sighting([])
+                        continue
+                    seen = _sighting(message, hands, clock)
+                    if seen is not None:
+                        yield seen
+        except (OSError, exceptions.WebSocketException) as error:
+            text = f"The Leap service does not answer at {address} ({error}); waiting for it."
+            if text != told:
+                tell(text)
+                told = text
+            yield sighting([])
+            sleep(_WAIT_SECONDS)
+
+
+def _sighting(message: str | bytes, hands: LeapHands, clock: ClockMap) -> Sighting | None:
+    try:
+        content = json.loads(message)
+    except (ValueError, RecursionError):
+        hands.rejected += 1
+        return None
+    version = content.get("version") if isinstance(content, dict) else None
+    if isinstance(version, int) and version < 5:
+        raise TrackingError(
+            f"The Leap service speaks protocol {version}, which has no bones; update it to a "
+            "version that speaks protocol 6."
+        )
+    frames = hands.read(content)
+    if hands.time is None:
+        return None
+    moment = clock(hands.time)
+    return sighting([replace(frame, source_time=moment) for frame in frames], moment)
+
+
+def _library() -> tuple[ModuleType, ModuleType]:
+    try:
+        from websockets import exceptions
+        from websockets.sync import client
+    except ImportError as error:
+        raise TrackingError(
+            "The websockets library is missing. Install it into this Python: "
+            "pip install 'tactile-clay[leap]', or pip install websockets."
+        ) from error
+    return client, exceptions

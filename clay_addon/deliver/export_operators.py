@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export Clay as an operator with a file browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ..core.surface.exact import SurfaceError
+from .export import AUTO, MINIMUM_WALL, SUFFIXES, ExportError, export_clay
+
+
+class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
+    """Export the clay at the current frame as one closed, coloured mesh: STL, 3MF, OBJ, PLY, GLB"""
+
+    bl_idname = "clay.export"
+    bl_label = "Export Clay"
+
+    filename_ext = ".stl"
+    check_extension = None
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"}
+    )
+    use_selection: bpy.props.BoolProperty(
+        name="Selected Only", description="Export only selected clay", default=False
+    )
+    unit: bpy.props.EnumProperty(
+        name="Unit",
+        description="Unit of the numbers in the file",
+        items=(
+            (AUTO, "Automatic", "Millimetres in STL and 3MF, as slicers read them, else metres"),
+            ("m", "Metres", "As Blender's own exporters write"),
+            ("mm", "Millimetres", "As programs for 3D printing read STL"),
+        ),
+        default=AUTO,
+    )
+    base: bpy.props.FloatProperty(
+        name="Flat Base (mm)",
+        description="Cut this much off the bottom [mm], for the clay to stand on; 0 leaves it",
+        default=0.0,
+        min=0.0,
+        soft_max=10.0,
+    )
+    wall: bpy.props.FloatProperty(
+        name="Thinnest Wall (mm)",
+        description="Warn of thinner walls in STL and 3MF [mm]",
+        default=MINIMUM_WALL,
+        min=0.0,
+        soft_max=5.0,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is clay."""
+        from ..model.clay_scene import clay_objects
+
+        return bool(clay_objects(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Export, or report why not."""
+        from ..model.clay_scene import clay_objects
+        from ..playback.playback import message
+        from ..playback.poses import plays_itself
+
+        clay = clay_objects(context.scene)
+        if self.use_selection:
+            clay = [item for item in clay if item in context.selected_objects]
+            if not clay:
+                self.report({"ERROR"}, "No clay is selected.")
+                return {"CANCELLED"}
+        frame = context.scene.frame_current
+        itself = all(plays_itself(item, frame) for item in clay)
+        if message(context.scene) and not itself:
+            self.report({"WARNING"}, message(context.scene))
+        window = None if bpy.app.background else context.window
+        if window:
+            window.cursor_modal_set("WAIT")
+        try:
+            result = export_clay(
+                context,
+                bpy.path.abspath(self.filepath),
+                objects=clay,
+                unit=self.unit,
+                base=self.base,
+                wall=self.wall,
+            )
+        except (ExportError, SurfaceError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            if window:
+                window.cursor_modal_restore()
+        for warning in (result["print"] or {}).get("warnings", ()):
+            self.report({"WARNING"}, warning)
+        size = " × ".join(f"{length:.1f}" for length in result["size"])
+        self.report(
+            {"INFO"},
+            f"{Path(result['file']).name}: {result['faces']:,} triangles, watertight, {size} mm",
+        )
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Register the operator."""
+    bpy.utils.register_class(CLAY_OT_export)
+
+
+def unregister() -> None:
+    """Unregister the operator."""
+    bpy.utils.unregister_class(CLAY_OT_export)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The object that plays a delivery: a Mesh Sequence Cache and stock nodes, none of the add-on."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..base.keyed_channels import CONSTANT, Channel, write_channels
+from ..clay.look import set_input
+from ..clay.look_material import clay_material
+from ..playback.shown_clay import world_spacing
+from .files import FRAMES_FOLDER, POINTS_PATH, ROOT_NAME
+from .nodes import finish_group
+
+OBJECT_NAME = "Clay Delivery"
+POINTS_NAME = "Clay Delivery Points"
+MODIFIER_NAME = "Clay Delivery"
+_MARK = "tactile_clay_delivery"
+_POINTS_MARK = "tactile_clay_delivery_points"
+_HIDDEN_MARK = "tactile_clay_delivered"
+"""Custom property of clay that a delivery hid: whether it was to be rendered before."""
+
+
+def delivered_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """The object of a scene that plays a delivery; None where there is none."""
+    return next((item for item in scene.objects if item.get(_MARK)), None)
+
+
+def close_delivery(scene: bpy.types.Scene) -> None:
+    """Let go of the files of a delivery; the object that played it stays, and shows nothing."""
+    for item in (delivered_object(scene), _points_object(scene)):
+        for modifier in item.modifiers if item else ():
+            if modifier.type == "MESH_SEQUENCE_CACHE" and modifier.cache_file is not None:
+                used = modifier.cache_file
+                modifier.cache_file = None
+                if used.users == 0:
+                    bpy.data.batch_remove([used])
+
+
+def show_delivery(
+    scene: bpy.types.Scene,
+    clay: Sequence[bpy.types.Object],
+    folder: Path,
+    kind: str,
+    shapes: Mapping[int, str],
+    object_path: str,
+    *,
+    points: bool = False,
+) -> bpy.types.Object:
+    """Play a delivery in place of the clay, which is hidden.
+
+    An object that played an earlier delivery plays this one, with the material and the modifiers
+    that it was given since.
+
+    Args:
+        scene: Where the clay is.
+        clay: What was delivered.
+        folder: Where the files are.
+        kind: ``usd`` or ``abc``.
+        shapes: Name of the file shown at each frame.
+        object_path: Where in a file the surface is.
+        points: Whether the files have the particles too: an object that plays them is made, hidden.
+
+    Returns:
+        The object that plays the surface.
+    """
+    close_delivery(scene)
+    item = delivered_object(scene) or _new_object(scene, clay)
+    item[_MARK] = kind
+    first = f"{FRAMES_FOLDER}/{shapes[min(shapes)]}"
+    cache_file = _open(folder / (ROOT_NAME if kind == "usd" else first))
+    if kind == "abc":
+        _play_sequence(cache_file, shapes)
+    _play(item, cache_file, object_path)
+    cloud = _points_object(scene)
+    if points:
+        _play(cloud or _new_points(scene), cache_file, POINTS_PATH)
+    elif cloud is not None:
+        _remove(cloud)
+    for part in clay:
+        if _HIDDEN_MARK not in part:
+            part[_HIDDEN_MARK] = not part.hide_render
+        part.hide_render = True
+        # Not in the view layer where its collection is excluded.
+        with contextlib.suppress(RuntimeError):
+            part.hide_set(True)
+    return item
+
+
+def remove_delivery(scene: bpy.types.Scene) -> bool:
+    """Show the clay again, not what was delivered. The files stay on the disk.
+
+    Returns:
+        Whether a delivery was shown.
+    """
+    item = delivered_object(scene)
+    close_delivery(scene)
+    for made in (item, _points_object(scene)):
+        if made is not None:
+            _remove(made)
+    for part in scene.objects:
+        if _HIDDEN_MARK in part:
+            part.hide_render = not part[_HIDDEN_MARK]
+            del part[_HIDDEN_MARK]
+            with contextlib.suppress(RuntimeError):
+                part.hide_set(False)
+    return item is not None
+
+
+def _points_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    return next((item for item in scene.objects if item.get(_POINTS_MARK)), None)
+
+
+def _new_points(scene: bpy.types.Scene) -> bpy.types.Object:
+    item = bpy.data.objects.new(POINTS_NAME, bpy.data.pointclouds.new(POINTS_NAME))
+    item[_POINTS_MARK] = True
+    scene.collection.objects.link(item)
+    item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
+    # They lie inside the surface.
+    item.hide_render = True
+    with contextlib.suppress(RuntimeError):
+        item.hide_set(True)
+    return item
+
+
+def _play(item: bpy.types.Object, cache_file: bpy.types.CacheFile, path: str) -> None:
+    player = next((m for m in item.modifiers if m.type == "MESH_SEQUENCE_CACHE"), None)
+    if player is None:
+        player = item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
+        item.modifiers.move(len(item.modifiers) - 1, 0)
+    player.cache_file = cache_file
+    player.object_path = path
+
+
+def _remove(item: bpy.types.Object) -> None:
+    data = item.data
+    bpy.data.objects.remove(item)
+    if data.users == 0:
+        bpy.data.batch_remove([data])
+
+
+def _new_object(scene: bpy.types.Scene, clay: Sequence[bpy.types.Object]) -> bpy.types.Object:
+    item = bpy.data.objects.new(OBJECT_NAME, bpy.data.meshes.new(OBJECT_NAME))
+    scene.collection.objects.link(item)
+    item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
+    modifier = item.modifiers.new(MODIFIER_NAME, "NODES")
+    modifier.node_group = finish_group()
+    material = clay[0].active_material or clay_material()
+    item.data.materials.append(material)
+    set_input(modifier, "Material", material)
+    set_input(modifier, "Spacing", world_spacing(clay[0]))
+    return item
+
+
+def _open(path: Path) -> bpy.types.CacheFile:
+    before = set(bpy.data.cache_files)
+    bpy.ops.cachefile.open(filepath=str(path))
+    (cache_file,) = set(bpy.data.cache_files) - before
+    # The operator counts itself as a user, so that the file would never be let go of.
+    cache_file.user_clear()
+    if bpy.data.filepath:
+        with contextlib.suppress(ValueError):
+            cache_file.filepath = bpy.path.relpath(str(path))
+    return cache_file
+
+
+def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]) -> None:
+    """Let a file of each shape be opened at the frames at which it is shown."""
+    cache_file.is_sequence = True
+    cache_file.override_frame = True
+    numbers = [int(shapes[frame].rpartition("_")[2].partition(".")[0]) for frame in shapes]
+    channel = Channel("frame", 0, np.array(list(shapes)), np.array(numbers), CONSTANT)
+    write_channels(cache_file, cache_file.name, [channel])

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Make Clay Hand, Add Clay Hand and their undoing."""
+
+from __future__ import annotations
+
+import bpy
+from mathutils import Matrix
+
+from ...solver.hand.proportions import REFERENCE_LENGTH
+from .add_hand import AddHandError, add_hand
+from .hand import make_hand, remove_hand
+from .reading import HandError, skinned_hand
+
+_GAP = 0.75
+"""Way from the middle to each of two hands, in lengths of a hand."""
+
+
+def _chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Selected meshes, and those that selected armatures carry."""
+    selected = list(context.selected_objects)
+    carried = [
+        item
+        for item in context.view_layer.objects
+        if item.type == "MESH"
+        and any(m.type == "ARMATURE" and m.object in selected for m in item.modifiers)
+    ]
+    others = [item for item in selected if item.type != "ARMATURE" and item not in carried]
+    return [*carried, *others]
+
+
+class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
+    """Bind the selected rigged mesh, so that it works the clay as a soft hand"""
+
+    bl_idname = "clay.hand_make"
+    bl_label = "Make Clay Hand"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Bind all selected meshes, or none and report why."""
+        chosen = _chosen(context)
+        if not chosen:
+            self.report({"ERROR"}, "Nothing is selected. Select a rigged hand first.")
+            return {"CANCELLED"}
+        try:
+            for item in chosen:
+                skinned_hand(context, item)
+            for item in chosen:
+                make_hand(context, item)
+        except HandError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class CLAY_OT_hand_remove(bpy.types.Operator):  # noqa: N801
+    """Let the selected hands no longer work the clay; mesh and armature stay"""
+
+    bl_idname = "clay.hand_remove"
+    bl_label = "Remove Clay Hand"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Unmark all selected hands."""
+        hands = [item for item in _chosen(context) if item.tactile_clay.role == "HAND"]
+        if not hands:
+            self.report({"ERROR"}, "No clay hand is selected.")
+            return {"CANCELLED"}
+        for item in hands:
+            remove_hand(item)
+        return {"FINISHED"}
+
+
+class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
+    """Add a hand that works the clay, with an armature for tracking or keyframes"""
+
+    bl_idname = "clay.hand_add"
+    bl_label = "Add Clay Hand"
+    bl_options = {"REGISTER", "UNDO"}
+
+    side: bpy.props.EnumProperty(
+        name="Side",
+        items=(
+            ("LEFT", "Left", "A left hand"),
+            ("RIGHT", "Right", "A right hand"),
+            ("BOTH", "Both", "A left and a right hand"),
+        ),
+        default="RIGHT",
+    )
+    length: bpy.props.FloatProperty(
+        name="Length (m)",
+        description="From the wrist to the tip of the straight middle finger [m]",
+        default=REFERENCE_LENGTH,
+        min=0.02,
+        soft_min=0.10,
+        soft_max=0.25,
+        max=2.0,
+        precision=3,
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Add the hands at the 3D cursor."""
+        if context.mode != "OBJECT":
+            self.report({"ERROR"}, "Leave the present mode first: hands are added in Object Mode.")
+            return {"CANCELLED"}
+        sides = {"LEFT": ("left",), "RIGHT": ("right",), "BOTH": ("left", "right")}[self.side]
+        way = _GAP * self.length / context.scene.unit_settings.scale_length
+        try:
+            for side in sides:
+                beside = 0.0 if len(sides) == 1 else way if side == "right" else -way
+                matrix = context.scene.cursor.matrix @ Matrix.Translation((beside, 0.0, 0.0))
+                add_hand(context, side, length=self.length, matrix=matrix)
+        except (AddHandError, HandError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+_CLASSES = (CLAY_OT_hand_make, CLAY_OT_hand_remove, CLAY_OT_hand_add)
+
+
+def register() -> None:
+    """Register the operators."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A rigged mesh as the solver takes it: its rest pose in metres, its bones and their weights."""
+
+from __future__ import annotations
+
+import hashlib
+
+import bmesh
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.hand.skinned_hand import SkinnedHand
+from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
+
+_SAME_PLACE = 1e-5
+"""Vertices closer than this share of the hand's length are one: seams of textures."""
+
+
+class HandError(Exception):
+    """An object cannot be a clay hand; the message says why and what to do."""
+
+
+def hand_armature(item: bpy.types.Object) -> bpy.types.Object:
+    """The armature that carries a mesh.
+
+    Raises:
+        HandError: None does, or several.
+    """
+    if item.type != "MESH":
+        raise HandError(f"{item.name!r} is no mesh ({item.type.lower()}). Select a hand's mesh.")
+    rigs = {
+        modifier.object
+        for modifier in item.modifiers
+        if modifier.type == "ARMATURE" and modifier.object is not None and modifier.show_viewport
+    }
+    if not rigs:
+        raise HandError(
+            f"{item.name!r} is not rigged: it has no Armature modifier that is switched on and "
+            "names an armature. Parent it to one (Ctrl+P, With Automatic Weights)."
+        )
+    if len(rigs) > 1:
+        raise HandError(f"{item.name!r} is carried by {len(rigs)} armatures; a hand has one.")
+    (rig,) = rigs
+    return rig
+
+
+def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedHand:
+    """A rigged mesh in its rest pose where it stands now, in world coordinates [m].
+
+    Modifiers other than the armature are applied, and vertices at the same place are one, as the
+    seams of an imported mesh have them. The object stays as it is.
+
+    Raises:
+        HandError: The object is no rigged mesh, or Blender does not evaluate it.
+    """
+    rig = hand_armature(item)
+    depsgraph = context.evaluated_depsgraph_get()
+    if item.mode == "EDIT":
+        raise HandError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
+    for part in (item, rig):
+        if is_switched_off(part, depsgraph):
+            raise HandError(f"{part.name!r} {SWITCHED_OFF}")
+    scale = context.scene.unit_settings.scale_length
+    bones = [bone for bone in rig.data.bones if bone.use_deform]
+    column = {bone.name: index for index, bone in enumerate(bones)}
+    groups = {
+        group.index: column[group.name] for group in item.vertex_groups if group.name in column
+    }
+    if not groups:
+        raise HandError(
+            f"{item.name!r} has no vertex group named like a bone of {rig.name!r}, so no bone "
+            "carries it. Parent it again (Ctrl+P, With Automatic Weights)."
+        )
+    places, triangles, weights = _rest_mesh(context, item, groups, len(bones))
+    matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
+    world = armature_matrix(rig, depsgraph, scale)
+    carrying = np.flatnonzero(weights.any(0)) if len(weights) else np.zeros(0, np.int64)
+    if not len(carrying):
+        raise HandError(f"{item.name!r} has no vertex that a bone of {rig.name!r} carries.")
+    kept = [bones[index] for index in carrying]
+    names = [bone.name for bone in kept]
+    rest = np.stack([_scaled(bone.matrix_local, scale) for bone in kept])
+    return SkinnedHand(
+        vertices=transform(matrix, places) * scale if len(places) else places,
+        faces=turn_for(matrix, triangles),
+        bone_names=tuple(names),
+        bone_rest=world @ rest,
+        bone_parent=np.array([_parent_index(bone, names) for bone in kept], np.int32),
+        weights=weights[:, carrying],
+    )
+
+
+def _parent_index(bone: bpy.types.Bone, names: list[str]) -> int:
+    """Nearest ancestor that carries skin."""
+    above = bone.parent
+    while above is not None and above.name not in names:
+        above = above.parent
+    return -1 if above is None else names.index(above.name)
+
+
+def _scaled(matrix: object, scale: float) -> NDArray[np.float64]:
+    """A matrix with its translation in metres."""
+    result = np.array(matrix, np.float64)
+    result[:3, 3] *= scale
+    return result
+
+
+def armature_matrix(
+    rig: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
+) -> NDArray[np.float64]:
+    return _scaled(rig.evaluated_get(depsgraph).matrix_world, scale)
+
+
+def _rest_mesh(
+    context: bpy.types.Context, item: bpy.types.Object, groups: dict[int, int], bone_count: int
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    """Welded vertices in the object's coordinates, triangles and weights, at rest."""
+    # A copy without the armature is at rest whatever the pose, also where the armature is linked.
+    copy = item.copy()
+    try:
+        for modifier in [m for m in copy.modifiers if m.type == "ARMATURE"]:
+            copy.modifiers.remove(modifier)
+        context.scene.collection.objects.link(copy)
+        depsgraph = context.evaluated_depsgraph_get()
+        evaluated = copy.evaluated_get(depsgraph)
+        mesh = evaluated.to_mesh(preserve_all_data_layers=True, depsgraph=depsgraph)
+        welded = bmesh.new()
+        try:
+            welded.from_mesh(mesh)
+            return _arrays(welded, groups, bone_count)
+        finally:
+            welded.free()
+            evaluated.to_mesh_clear()
+    finally:
+        bpy.data.objects.remove(copy)
+
+
+def _arrays(
+    mesh: bmesh.types.BMesh, groups: dict[int, int], bone_count: int
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    places = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
+    if len(places) and np.isfinite(places).all():
+        distance = _SAME_PLACE * float(np.ptp(places, axis=0).max())
+        bmesh.ops.remove_doubles(mesh, verts=mesh.verts[:], dist=distance)
+        places = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
+    mesh.verts.index_update()
+    triangles = np.array(
+        [[loop.vert.index for loop in corners] for corners in mesh.calc_loop_triangles()], np.int32
+    ).reshape(-1, 3)
+    weights = np.zeros((len(places), bone_count))
+    layer = mesh.verts.layers.deform.active
+    if layer is not None:
+        for vertex in mesh.verts:
+            for group, weight in vertex[layer].items():
+                if group in groups:
+                    weights[vertex.index, groups[group]] = weight
+    return places, triangles, weights
+
+
+def weights_digest(hand: SkinnedHand) -> str:
+    """Thirty-two hexadecimal digits of the weights."""
+    rounded = np.ascontiguousarray(hand.weights, np.float32)
+    return hashlib.blake2b(rounded.tobytes(), digest_size=16).hexdigest()

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Writing to the points of a clay object: where they are, how many, and what shape they start from.
+
+What a person has sculpted is the shape that the next bake or session starts from. The attribute
+``rest_position`` holds it.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..clay.make_clay import make_point_cloud, write_attributes
+
+BAKED_MARK = "clay_baked"
+"""Custom property of points that are in a baked frame. It stands beside them, not on the object,
+so that Undo brings back both or neither."""
+SCULPTED_MARK = "clay_sculpted"
+"""Custom property of points whose starting shape was sculpted since it was baked; a bake takes it
+away."""
+ABSENT = "clay_absent"
+"""Attribute of points of which some are not there all the time. Those that are not are at the very
+place of another; it is true of those that are not there in the beginning."""
+
+
+def present_rows(item: bpy.types.Object, local: NDArray[np.floating]) -> slice | NDArray[np.int64]:
+    """Which of a clay object's points are there, given where all are, shape [N, 3]."""
+    if ABSENT not in item.data.attributes:
+        return slice(None)
+    return np.sort(np.unique(local, axis=0, return_index=True)[1])
+
+
+def write_points(
+    item: bpy.types.Object, local: NDArray[np.floating], attribute: str = "position"
+) -> None:
+    """Write where a clay object's points are.
+
+    Args:
+        item: A clay object.
+        local: Positions in its coordinates [Blender units], shape [N, 3].
+        attribute: Of the points, one that is there.
+    """
+    values = np.ascontiguousarray(local, np.float32).ravel()
+    item.data.attributes[attribute].data.foreach_set("vector", values)
+    item.data.update_tag()
+
+
+def write_colors(item: bpy.types.Object, colors: NDArray[np.floating]) -> None:
+    """Write the colours of a clay object's points, linear RGBA, shape [N, 4]."""
+    values = np.ascontiguousarray(colors, np.float32).ravel()
+    item.data.attributes["Color"].data.foreach_set("color", values)
+    item.data.update_tag()
+
+
+def replace_points(
+    context: bpy.types.Context,
+    item: bpy.types.Object,
+    local: NDArray[np.floating],
+    colors: NDArray[np.floating],
+) -> None:
+    """Give a clay object other points, and other many.
+
+    Args:
+        context: Where the object is.
+        item: A clay object.
+        local: Positions in its coordinates [Blender units], shape [N, 3], at least one.
+        colors: Linear RGBA, shape [N, 4].
+
+    Raises:
+        ValueError: There are none.
+    """
+    if not len(local):
+        raise ValueError(f"{item.name!r} would have no clay left.")
+    points = np.ascontiguousarray(local, np.float32)
+    tints = np.ascontiguousarray(colors, np.float32)
+    spacing = item.tactile_clay.spacing
+    # The class does not have what its objects have.
+    if hasattr(item.data, "resize"):
+        item.data.resize(len(points))
+        write_attributes(item.data, points, tints, spacing)
+        return
+    # Blender 4.5 cannot size a point cloud, so the object gets another one.
+    active, selected = context.view_layer.objects.active, list(context.selected_objects)
+    carrier = make_point_cloud(context, points, tints, spacing, item.data.name)
+    before, item.data = item.data, carrier.data
+    bpy.data.objects.remove(carrier)
+    for material in before.materials:
+        item.data.materials.append(material)
+    for key, value in before.items():
+        item.data[key] = value
+    if not before.users:
+        name = before.name
+        bpy.data.pointclouds.remove(before)
+        item.data.name = name
+    for other in context.view_layer.objects:
+        other.select_set(other in selected)
+    context.view_layer.objects.active = active
+
+
+def keep_sculpted(item: bpy.types.Object) -> None:
+    """Let the shape that is shown be the one that a bake or a session starts from."""
+    values = np.empty(3 * len(item.data.points), np.float32)
+    item.data.attributes["position"].data.foreach_get("vector", values)
+    write_points(item, values, "rest_position")
+    item.data.pop(BAKED_MARK, None)
+    item.data[SCULPTED_MARK] = True
+
+
+def is_sculpted(item: bpy.types.Object) -> bool:
+    """Whether a clay object was sculpted since it was baked."""
+    return SCULPTED_MARK in item.data

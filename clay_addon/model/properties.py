@@ -1,0 +1,356 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
+
+from typing import Any
+
+import bpy
+
+from .material_presets import (
+    CUSTOM,
+    MISSING,
+    PRESET_DEFAULT_NUMBER,
+    find_material,
+    object_items,
+    scene_items,
+)
+from .user_materials import MATERIAL_VALUES
+
+FASTEST_WHEEL = 400.0
+"""Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
+in the longest step of a live session."""
+
+
+_filling = False
+
+
+def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
+    global _filling
+    name = properties.material_preset
+    if name == CUSTOM or name.startswith(MISSING):
+        return
+    material = find_material(name)
+    _filling = True
+    try:
+        for name in MATERIAL_VALUES:
+            setattr(properties, name, getattr(material, name))
+    finally:
+        _filling = False
+
+
+def _become_custom(properties: Any, context: bpy.types.Context) -> None:
+    if not _filling and properties.material_preset != CUSTOM:
+        properties.material_preset = CUSTOM
+
+
+def _show_held(properties: Any, context: bpy.types.Context) -> None:
+    from ..playback.playback import refresh
+
+    refresh(properties.id_data)
+
+
+def _tag_object(properties: Any, context: bpy.types.Context) -> None:
+    # Values of add-ons do not reach the evaluated object by themselves.
+    properties.id_data.update_tag()
+
+
+def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
+    from ..wheel.wheel import refresh
+
+    _tag_object(properties, context)
+    refresh(context.scene)
+
+
+def _get_spacing(properties: Any) -> float:
+    # Half a centimetre whatever the scene's unit scale, until a value is chosen.
+    return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
+
+
+def _set_spacing(properties: Any, value: float) -> None:
+    properties.spacing_chosen = value
+
+
+class ClaySource(bpy.types.PropertyGroup):
+    """A mesh that clay was made from."""
+
+    source: bpy.props.PointerProperty(name="Source", type=bpy.types.Object)
+
+
+class ClayObjectProperties(bpy.types.PropertyGroup):
+    """What an object is to the clay. Lengths are in Blender units, all else in SI units."""
+
+    role: bpy.props.EnumProperty(
+        name="Role",
+        items=(
+            ("NONE", "None", "Nothing to do with clay"),
+            ("CLAY", "Clay", "A point cloud of clay particles"),
+            ("COLLIDER", "Collider", "A mesh that presses on the clay"),
+            ("HAND", "Hand", "A rigged hand that works the clay"),
+        ),
+        default="NONE",
+    )
+    material_preset: bpy.props.EnumProperty(
+        name="Material",
+        description="What the clay is made of; choosing one fills in the values below",
+        items=object_items,
+        default=PRESET_DEFAULT_NUMBER,
+        update=_fill_from_preset,
+    )
+    density: bpy.props.FloatProperty(
+        name="Density (kg/m³)",
+        description="Mass of a cubic metre at rest [kg/m³]",
+        default=1700.0,
+        min=1.0,
+        soft_max=10000.0,
+        update=_become_custom,
+    )
+    yield_stress: bpy.props.FloatProperty(
+        name="Yield Stress (Pa)",
+        description="Shear stress at which the clay starts to flow [Pa]",
+        default=5000.0,
+        min=0.0,
+        soft_max=100000.0,
+        update=_become_custom,
+    )
+    viscosity: bpy.props.FloatProperty(
+        name="Viscosity (Pa·s)",
+        description="Resistance to flow beyond the yield stress [Pa·s]",
+        default=200.0,
+        min=0.0,
+        soft_max=5000.0,
+        update=_become_custom,
+    )
+    shear_modulus: bpy.props.FloatProperty(
+        name="Shear Modulus (Pa)",
+        description="Stiffness below the yield stress [Pa]",
+        default=100000.0,
+        min=1.0,
+        soft_max=1000000.0,
+        update=_become_custom,
+    )
+    friction: bpy.props.FloatProperty(
+        name="Friction",
+        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
+        default=0.5,
+        min=0.0,
+        soft_max=1.0,
+        update=_become_custom,
+    )
+    spacing: bpy.props.FloatProperty(
+        name="Spacing",
+        description="Distance between particles; fixed when the clay is made",
+        subtype="DISTANCE",
+        unit="LENGTH",
+        default=0.0,
+        min=0.0,
+        precision=4,
+    )
+    sources: bpy.props.CollectionProperty(
+        name="Sources", description="The meshes the clay was made from", type=ClaySource
+    )
+    take_start: bpy.props.PointerProperty(
+        name="Take Start",
+        description="The clay that the last take began with",
+        type=bpy.types.Mesh,
+    )
+    collider_kind: bpy.props.EnumProperty(
+        name="Shape",
+        description="How the clay meets this object",
+        items=(
+            ("AUTO", "Automatic", "A flat mesh is an endless plane, any other a closed mesh"),
+            ("MESH", "Closed mesh", "The mesh itself; it may move and deform"),
+            ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
+        ),
+        default="AUTO",
+    )
+    collider_enabled: bpy.props.BoolProperty(
+        name="Touches Clay",
+        description="Whether the clay feels this object; keyframes can lift a tool off and set it",
+        default=True,
+        update=_tag_object,
+    )
+    collider_friction: bpy.props.FloatProperty(
+        name="Friction",
+        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
+        default=0.5,
+        min=0.0,
+        soft_max=1.0,
+    )
+    collider_adhesion: bpy.props.FloatProperty(
+        name="Adhesion (Pa)",
+        description=(
+            "Stress at which clay that has touched this object comes off again [Pa]: wet clay "
+            "sticks to a wheel head with some thousand, to a dry tool with none"
+        ),
+        default=0.0,
+        min=0.0,
+        soft_max=20000.0,
+    )
+    wheel_speed: bpy.props.FloatProperty(
+        name="Wheel Speed (rpm)",
+        description=(
+            "Turns a minute about the object's own Z axis, as a potter's wheel; keyframes or a "
+            "driver work its pedal"
+        ),
+        default=0.0,
+        min=-FASTEST_WHEEL,
+        max=FASTEST_WHEEL,
+        soft_min=0.0,
+        soft_max=200.0,
+        update=_set_wheels,
+    )
+    wheel_phase: bpy.props.FloatProperty(
+        name="Wheel Phase",
+        description="How far the wheel is turned at the first frame",
+        subtype="ANGLE",
+        update=_set_wheels,
+    )
+    wheel_axle: bpy.props.PointerProperty(
+        name="Axle", description="What turns this wheel", type=bpy.types.Object, options={"HIDDEN"}
+    )
+
+
+class ClaySceneProperties(bpy.types.PropertyGroup):
+    """How the clay of a scene is made and baked."""
+
+    spacing: bpy.props.FloatProperty(
+        name="Spacing",
+        description=(
+            "Distance between the particles of new clay: half as much shows twice the detail and "
+            "takes about ten times as long"
+        ),
+        subtype="DISTANCE",
+        unit="LENGTH",
+        min=1e-6,
+        soft_min=1e-4,
+        precision=4,
+        get=_get_spacing,
+        set=_set_spacing,
+    )
+    spacing_chosen: bpy.props.FloatProperty(options={"HIDDEN"})
+    material_preset: bpy.props.EnumProperty(
+        name="Material",
+        description="What new clay is made of",
+        items=scene_items,
+        default=PRESET_DEFAULT_NUMBER,
+    )
+    substeps: bpy.props.IntProperty(
+        name="Substeps",
+        description="Solver steps in each sixtieth of a second; 0 takes the solver's own choice",
+        default=0,
+        min=0,
+        max=4096,
+    )
+    motion_samples: bpy.props.IntProperty(
+        name="Motion Samples",
+        description=(
+            "How often in each frame a bake looks where hands and colliders are: more follows what "
+            "turns back between two frames, and recorded takes"
+        ),
+        default=1,
+        min=1,
+        max=64,
+    )
+    hands_give_way: bpy.props.BoolProperty(
+        name="Hands Give Way",
+        description="Stiff clay stops hands in a bake as it does live; off, they go where keyed",
+        default=False,
+    )
+    record_take: bpy.props.BoolProperty(
+        name="Record Take",
+        description="Record what hands, tools and clay do while you sculpt, for the timeline",
+        default=False,
+    )
+    take_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_edits: bpy.props.StringProperty(options={"HIDDEN"})
+    film_of: bpy.props.PointerProperty(
+        name="Film of",
+        description="The scene whose take this one bakes again",
+        type=bpy.types.Scene,
+    )
+    cache_directory: bpy.props.StringProperty(
+        name="Cache",
+        description="Folder of the bake; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        default="//clay_cache",
+    )
+    delivery_directory: bpy.props.StringProperty(
+        name="Folder",
+        description="Folder of the delivered files; // is the folder of the .blend file",
+        subtype="DIR_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        default="//clay_delivery",
+    )
+    delivery_kind: bpy.props.EnumProperty(
+        name="Format",
+        description="What is written, and played in place of the clay",
+        items=(
+            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+        ),
+        default="usd",
+    )
+    delivery_points: bpy.props.BoolProperty(
+        name="Particles Too",
+        description="Write the particles beside the surface, for other programs (USD only)",
+        default=False,
+    )
+    use_scene_range: bpy.props.BoolProperty(
+        name="Scene Range",
+        description="Bake the frame range of the scene",
+        default=True,
+    )
+    frame_start: bpy.props.IntProperty(
+        name="Start", description="First frame: the clay as it was made", default=1
+    )
+    frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
+    hold_frames: bpy.props.IntProperty(
+        name="Hold",
+        description=(
+            "Frames that each simulated shape is held for: 1 shows all, 2 animates on twos. The "
+            "simulation itself stays as it is"
+        ),
+        default=1,
+        min=1,
+        soft_max=8,
+        update=_show_held,
+    )
+
+
+def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
+    """First and last frame to bake."""
+    properties = scene.tactile_clay
+    if properties.use_scene_range:
+        return scene.frame_start, scene.frame_end
+    return properties.frame_start, properties.frame_end
+
+
+def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
+    """The frame whose shape is shown at another one, where each is held for some frames.
+
+    Args:
+        scene: Its setting counts.
+        number: The frame at which it is shown.
+        first: The first frame of the bake.
+    """
+    hold = scene.tactile_clay.hold_frames
+    return first + (number - first) // hold * hold
+
+
+_CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)
+
+
+def register() -> None:
+    """Register the property groups and hang them on objects and scenes."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Object.tactile_clay = bpy.props.PointerProperty(type=ClayObjectProperties)
+    bpy.types.Scene.tactile_clay = bpy.props.PointerProperty(type=ClaySceneProperties)
+
+
+def unregister() -> None:
+    """Take the property groups away; what a .blend keeps stays in it."""
+    del bpy.types.Scene.tactile_clay
+    del bpy.types.Object.tactile_clay
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

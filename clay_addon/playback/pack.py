@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pack Playback: baked frames inside the .blend, played by stock nodes.
+
+Every frame is a vector attribute of the point cloud, and a geometry nodes modifier moves the points
+to the attribute of the scene's frame. So the file plays and renders where neither the add-on nor
+the cache is there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import bpy
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..clay.look import get_input, set_input
+from ..core.storage.cache import Cache, CacheError
+from ..model.properties import held_frame
+
+NODE_GROUP_NAME = "Clay Playback"
+MODIFIER_NAME = "Clay Playback"
+FRAME_ATTRIBUTE = ".clay_frame_"
+"""A leading dot keeps hundreds of attributes out of the lists in the interface."""
+_MARK = "tactile_clay_playback"
+_VERSION = 2
+_FLOAT_EXACT = 2**24
+"""Frames beyond this cannot be told apart by the nodes."""
+
+
+class PackError(ValueError):
+    """Frames cannot be packed; the message says why and what to do."""
+
+
+def is_packed(clay: bpy.types.Object) -> bool:
+    """Return whether an object plays frames packed inside the .blend.
+
+    Its point cloud then needs nothing from a cache: writing to its positions would change nothing
+    that is seen.
+    """
+    modifier = clay.modifiers.get(MODIFIER_NAME)
+    return (
+        clay.type == "POINTCLOUD"
+        and modifier is not None
+        and modifier.type == "NODES"
+        and modifier.node_group is not None
+        and bool(_packed_attributes(clay))
+    )
+
+
+def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int = 1) -> None:
+    """Store frames in a point cloud and let it play them.
+
+    Before the first frame it shows the first, after the last the last, and between two frames (of
+    motion blur, say) the mean of both. Frames packed before are replaced; when an error is raised
+    nothing has changed. The point cloud's own positions stay as they are.
+
+    Args:
+        clay: Point cloud object.
+        frames: Positions in the object's coordinates [Blender units], shape [N, 3], by frame
+            number, without gaps: every `hold`-th number.
+        hold: Frames that each is shown for; above 1 it is held, and nothing is shown between two.
+
+    Raises:
+        PackError: if the object is no point cloud or linked from another file, or frames are
+            missing, of the wrong shape, or not finite.
+    """
+    checked = _checked_frames(clay, frames, hold)
+    _remove_attributes(clay)
+    for number, positions in checked.items():
+        layer = clay.data.attributes.new(f"{FRAME_ATTRIBUTE}{number}", "FLOAT_VECTOR", "POINT")
+        layer.data.foreach_set("vector", positions.ravel())
+    modifier = clay.modifiers.get(MODIFIER_NAME)
+    if modifier is None:
+        modifier = clay.modifiers.new(MODIFIER_NAME, "NODES")
+        clay.modifiers.move(len(clay.modifiers) - 1, 0)
+    modifier.node_group = _playback_group()
+    set_input(modifier, "First Frame", min(checked))
+    set_input(modifier, "Last Frame", max(checked))
+    set_input(modifier, "Hold", hold)
+    clay.data.update_tag()
+
+
+def packed_positions(clay: bpy.types.Object, frame: float) -> NDArray[np.float32]:
+    """Return the positions that a packed object shows at a frame.
+
+    Args:
+        clay: An object for which `is_packed` holds.
+        frame: Frame number, with a fraction between two frames.
+
+    Returns:
+        Positions in the object's coordinates [Blender units], shape [N, 3].
+    """
+    numbers = [int(name.removeprefix(FRAME_ATTRIBUTE)) for name in _packed_attributes(clay)]
+    first = min(numbers)
+    frame = min(max(frame, first), max(numbers))
+    try:
+        hold = get_input(clay.modifiers[MODIFIER_NAME], "Hold")
+    except KeyError:
+        # Packed before shapes could be held.
+        hold = 1
+    if hold > 1:
+        frame = first + math.floor((frame - first) / hold) * hold
+    low, high = (np.empty((len(clay.data.points), 3), np.float32) for _ in range(2))
+    for number, values in ((math.floor(frame), low), (math.ceil(frame), high)):
+        layer = clay.data.attributes[f"{FRAME_ATTRIBUTE}{number}"]
+        layer.data.foreach_get("vector", values.ravel())
+    return (high - low) * np.float32(frame - math.floor(frame)) + low
+
+
+def unpack(clay: bpy.types.Object) -> bool:
+    """Take packed frames out of an object again.
+
+    Returns:
+        Whether there were any.
+    """
+    modifier = clay.modifiers.get(MODIFIER_NAME)
+    found = is_packed(clay)
+    if modifier is not None:
+        clay.modifiers.remove(modifier)
+    if clay.type == "POINTCLOUD":
+        _remove_attributes(clay)
+        clay.data.update_tag()
+    return found
+
+
+def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, int]:
+    """Pack all baked frames of a scene's clay.
+
+    Args:
+        scene: Where the clay is.
+        cache: The bake; the scene's where not given.
+
+    Returns:
+        Numbers of the first and last frame, of objects, and of bytes packed.
+
+    Raises:
+        PackError: if there is no clay, no bake, a bake of other clay, or a missing frame.
+        CacheError: if the cache cannot be read.
+    """
+    from ..base.mesh_geometry import local_from_world, transform
+    from ..model.clay_scene import clay_objects
+    from .playback import cache_of, is_bake_of
+
+    clay = clay_objects(scene)
+    if not clay:
+        raise PackError("There is no clay in this scene.")
+    cache = cache or cache_of(scene)
+    numbers = cache.frames() if cache else []
+    hold = scene.tactile_clay.hold_frames
+    if cache is None or not numbers:
+        raise PackError("There is no bake to pack. Bake first.")
+    meta = cache.meta()
+    if not is_bake_of(meta, clay):
+        raise PackError("The bake is of other clay than the scene has now. Bake again.")
+    try:
+        inverse = [local_from_world(item) for item in clay]
+    except ValueError as error:
+        raise PackError(f"{error}.") from error
+    splits = np.cumsum([part.count for part in meta.clay])[:-1]
+    frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
+    # Frames that are held over need not be stored.
+    kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
+    for number in kept:
+        world = cache.read_frame(number, meta=meta).positions
+        for part, matrix, positions in zip(frames, inverse, np.split(world, splits), strict=True):
+            part[number] = transform(matrix, positions).astype(np.float32)
+    checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
+    for item, part in zip(clay, checked, strict=True):
+        pack(item, part, hold=hold)
+    return {
+        "frame_start": numbers[0],
+        "frame_end": numbers[-1],
+        "objects": len(clay),
+        "bytes": 12 * meta.particle_count * len(kept),
+    }
+
+
+def _checked_frames(
+    clay: bpy.types.Object, frames: Mapping[int, ArrayLike], hold: int
+) -> dict[int, NDArray[np.float32]]:
+    if clay.type != "POINTCLOUD":
+        raise PackError(f"{clay.name!r} is a {clay.type.lower()}, not a point cloud of clay.")
+    if clay.library is not None or clay.data.library is not None:
+        raise PackError(
+            f"{clay.name!r} is linked from another file, so frames packed here would be lost. Pack "
+            "it there, or make it local first (Object > Relations > Make Local)."
+        )
+    if not frames:
+        raise PackError("There are no frames to pack.")
+    first, last = min(frames), max(frames)
+    missing = [number for number in range(first, last + 1, hold) if number not in frames]
+    if missing:
+        raise PackError(
+            f"{len(missing)} frames are missing between {first} and {last}, the first of them"
+            f" {missing[0]}. Resume the bake, then pack again."
+        )
+    if max(abs(first), abs(last)) > _FLOAT_EXACT:
+        raise PackError(f"Frame numbers beyond {_FLOAT_EXACT:,} cannot be packed.")
+    shape = (len(clay.data.points), 3)
+    checked = {}
+    for number in sorted(frames):
+        positions = np.ascontiguousarray(frames[number], dtype=np.float32)
+        if positions.shape != shape:
+            raise PackError(
+                f"Frame {number} has positions of the shape {positions.shape},"
+                f" {clay.name!r} needs {shape}."
+            )
+        if not np.isfinite(positions).all():
+            raise PackError(f"Frame {number} has positions that are not finite.")
+        checked[int(number)] = positions
+    return checked
+
+
+def _packed_attributes(clay: bpy.types.Object) -> list[str]:
+    return [item.name for item in clay.data.attributes if item.name.startswith(FRAME_ATTRIBUTE)]
+
+
+def _remove_attributes(clay: bpy.types.Object) -> None:
+    # By name each time: removing one may move the others in memory.
+    for name in _packed_attributes(clay):
+        clay.data.attributes.remove(clay.data.attributes[name])
+
+
+def _playback_group() -> bpy.types.NodeTree:
+    """Return the node group of the playback, made at the first call."""
+    for tree in bpy.data.node_groups:
+        if tree.get(_MARK) == _VERSION and tree.library is None:
+            return tree
+    tree = bpy.data.node_groups.new(NODE_GROUP_NAME, "GeometryNodeTree")
+    tree[_MARK] = _VERSION
+    tree.is_modifier = True
+    socket = tree.interface.new_socket
+    socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    socket("First Frame", in_out="INPUT", socket_type="NodeSocketInt")
+    socket("Last Frame", in_out="INPUT", socket_type="NodeSocketInt")
+    socket("Hold", in_out="INPUT", socket_type="NodeSocketInt").default_value = 1
+    link = tree.links.new
+
+    def node(kind: str, x: float, y: float, **properties: object) -> bpy.types.Node:
+        made = tree.nodes.new(kind)
+        made.location = (x, y)
+        for name, value in properties.items():
+            setattr(made, name, value)
+        return made
+
+    def scalar(operation: str, x: float, y: float) -> bpy.types.Node:
+        return node("ShaderNodeMath", x, y, operation=operation)
+
+    given = node("NodeGroupInput", -1400, 200)
+    time = node("GeometryNodeInputSceneTime", -1400, -50)
+    clamped = node("ShaderNodeClamp", -1200, 0)
+    link(time.outputs["Frame"], clamped.inputs["Value"])
+    link(given.outputs["First Frame"], clamped.inputs["Min"])
+    link(given.outputs["Last Frame"], clamped.inputs["Max"])
+    # Held for n frames: the first frame plus a multiple of n, where n is above 1.
+    since = scalar("SUBTRACT", -1200, -300)
+    link(clamped.outputs[0], since.inputs[0])
+    link(given.outputs["First Frame"], since.inputs[1])
+    over = scalar("MODULO", -1050, -300)
+    link(since.outputs[0], over.inputs[0])
+    link(given.outputs["Hold"], over.inputs[1])
+    holds = scalar("GREATER_THAN", -1200, -480)
+    link(given.outputs["Hold"], holds.inputs[0])
+    holds.inputs[1].default_value = 1.5
+    late = scalar("MULTIPLY", -900, -300)
+    link(over.outputs[0], late.inputs[0])
+    link(holds.outputs[0], late.inputs[1])
+    shown = scalar("SUBTRACT", -1050, -100)
+    link(clamped.outputs[0], shown.inputs[0])
+    link(late.outputs[0], shown.inputs[1])
+    places = []
+    for operation, y in (("FLOOR", 0), ("CEIL", -250)):
+        whole = scalar(operation, -1000, y)
+        link(shown.outputs[0], whole.inputs[0])
+        text = node("FunctionNodeValueToString", -800, y, data_type="INT")
+        link(whole.outputs[0], text.inputs["Value"])
+        name = node("FunctionNodeReplaceString", -600, y)
+        name.inputs["String"].default_value = f"{FRAME_ATTRIBUTE}#"
+        name.inputs["Find"].default_value = "#"
+        link(text.outputs[0], name.inputs["Replace"])
+        place = node("GeometryNodeInputNamedAttribute", -400, y, data_type="FLOAT_VECTOR")
+        link(name.outputs[0], place.inputs["Name"])
+        places.append(place.outputs["Attribute"])
+    fraction = scalar("FRACT", -400, -450)
+    link(shown.outputs[0], fraction.inputs[0])
+    change = node("ShaderNodeVectorMath", -200, -150, operation="SUBTRACT")
+    link(places[1], change.inputs[0])
+    link(places[0], change.inputs[1])
+    # At a whole frame this adds nothing at all, so the positions come out bit for bit.
+    blend = node("ShaderNodeVectorMath", 0, 0, operation="MULTIPLY_ADD")
+    link(change.outputs[0], blend.inputs[0])
+    link(fraction.outputs[0], blend.inputs[1])
+    link(places[0], blend.inputs[2])
+    moved = node("GeometryNodeSetPosition", 200, 200)
+    link(given.outputs["Geometry"], moved.inputs["Geometry"])
+    link(blend.outputs[0], moved.inputs["Position"])
+    result = node("NodeGroupOutput", 400, 200)
+    link(moved.outputs[0], result.inputs["Geometry"])
+    return tree
+
+
+class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
+    """Store the baked frames in the .blend, so that it plays without the add-on and its cache"""
+
+    bl_idname = "clay.pack"
+    bl_label = "Pack Playback"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is clay."""
+        from ..model.clay_scene import clay_objects
+
+        return bool(clay_objects(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Pack, or report why not."""
+        try:
+            packed = pack_bake(context.scene)
+        except (PackError, CacheError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report(
+            {"INFO"},
+            f"Frames {packed['frame_start']} to {packed['frame_end']} packed"
+            f" ({packed['bytes'] / 1e6:.1f} MB). Save the file to keep them.",
+        )
+        return {"FINISHED"}
+
+
+class CLAY_OT_unpack(bpy.types.Operator):  # noqa: N801
+    """Take the packed frames out of the .blend again; the clay plays from its cache"""
+
+    bl_idname = "clay.unpack"
+    bl_label = "Unpack Playback"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is packed clay."""
+        from ..model.clay_scene import clay_objects
+
+        return any(is_packed(item) for item in clay_objects(context.scene))
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Unpack all clay of the scene."""
+        from ..model.clay_scene import clay_objects
+        from .playback import refresh
+
+        count = sum(unpack(item) for item in clay_objects(context.scene))
+        refresh(context.scene)
+        self.report({"INFO"}, f"{count} clay objects play from the cache again")
+        return {"FINISHED"}
+
+
+_CLASSES = (CLAY_OT_pack, CLAY_OT_unpack)
+
+
+def register() -> None:
+    """Register the operators."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Keying sculpted shapes on the timeline, taking keys away, and sculpting on from one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.clay_scene import clay_objects, read_points
+from .pack import is_packed, packed_positions
+from .poses import PoseError, has_poses, key_clay, key_pose, pose_at, remove_key, take_pose
+
+
+def chosen_clay(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected clay; all of the scene where none is selected."""
+    clay = clay_objects(context.scene)
+    return [item for item in clay if item in context.selected_objects] or clay
+
+
+def own_positions(scene: bpy.types.Scene, clay: bpy.types.Object) -> NDArray[np.float32]:
+    """The shape of a clay object itself at the current frame, sculpted or simulated.
+
+    Returns:
+        Positions in the object's coordinates [Blender units], shape [N, 3].
+
+    Raises:
+        PoseError: if it has none.
+    """
+    if is_packed(clay):
+        return packed_positions(clay, scene.frame_current_final)
+    positions = read_points(clay, "position")
+    if positions is None or not len(positions):
+        raise PoseError(f"{clay.name!r} has no particles.")
+    return positions
+
+
+def key_shapes(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Key the present shape of the chosen clay at the current frame.
+
+    Returns:
+        The clay that was keyed.
+
+    Raises:
+        PoseError: if there is no clay, or a shape cannot be kept. Nothing is keyed then.
+    """
+    scene = context.scene
+    clay = chosen_clay(context)
+    if not clay:
+        raise PoseError("There is no clay in this scene. Make clay first.")
+    shapes = [own_positions(scene, item) for item in clay]
+    for item, shape in zip(clay, shapes, strict=True):
+        key_pose(item, shape, frame=scene.frame_current)
+    return clay
+
+
+class _PoseOperator:
+    """What the operators share."""
+
+    report: Any
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is clay."""
+        return bool(clay_objects(context.scene))
+
+    def _each(self, context: bpy.types.Context, act: Callable[[Any], bool], nothing: str) -> Any:
+        try:
+            done = [item.name for item in chosen_clay(context) if act(item)]
+        except PoseError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if not done:
+            self.report({"ERROR"}, nothing)
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class CLAY_OT_pose_key(_PoseOperator, bpy.types.Operator):  # noqa: N801
+    """Keep the present shape of the clay as a key at this frame, held until the next one"""
+
+    bl_idname = "clay.pose_key"
+    bl_label = "Key This Pose"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Key the selected clay, or all."""
+        try:
+            keyed = key_shapes(context)
+        except PoseError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        names = ", ".join(item.name for item in keyed)
+        self.report({"INFO"}, f"Frame {context.scene.frame_current}: pose of {names} keyed")
+        return {"FINISHED"}
+
+
+class CLAY_OT_pose_release(_PoseOperator, bpy.types.Operator):  # noqa: N801
+    """From this frame on show the clay itself, simulated or sculpted, not a keyed pose"""
+
+    bl_idname = "clay.pose_release"
+    bl_label = "Key the Clay Itself"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Key the selected clay, or all."""
+
+        def act(item: bpy.types.Object) -> bool:
+            key_clay(item, frame=context.scene.frame_current)
+            return has_poses(item)
+
+        return self._each(context, act, "No pose is keyed, so the clay itself is shown already.")
+
+
+class CLAY_OT_pose_remove(_PoseOperator, bpy.types.Operator):  # noqa: N801
+    """Remove the key of the clay's pose at this frame"""
+
+    bl_idname = "clay.pose_remove"
+    bl_label = "Remove Pose"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Remove it from the selected clay, or all."""
+        frame = context.scene.frame_current
+        return self._each(
+            context,
+            lambda item: remove_key(item, frame=frame),
+            f"No pose is keyed at frame {frame}.",
+        )
+
+
+class CLAY_OT_pose_take(_PoseOperator, bpy.types.Operator):  # noqa: N801
+    """Make the pose that is shown the clay itself, to go on sculpting or to bake from it"""
+
+    bl_idname = "clay.pose_take"
+    bl_label = "Work on This Pose"
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Take it for the selected clay, or all."""
+        frame = context.scene.frame_current
+        return self._each(
+            context,
+            lambda item: pose_at(item, frame) is not None and take_pose(item, frame=frame),
+            "No keyed pose is shown at this frame.",
+        )
+
+
+_CLASSES = (CLAY_OT_pose_key, CLAY_OT_pose_release, CLAY_OT_pose_remove, CLAY_OT_pose_take)
+
+
+def register() -> None:
+    """Register the operators."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

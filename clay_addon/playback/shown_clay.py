@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The clay as a scene shows it at any frame: baked, packed, keyed or as it was sculpted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.keyed_channels import find_curve
+from ..base.mesh_geometry import transform
+from ..core.storage.cache import Cache, Meta
+from ..core.surface.exact import Surface, reconstruct
+from ..model.clay_points import is_sculpted, present_rows
+from ..model.clay_scene import clay_colors, read_points
+from ..model.properties import held_frame
+from .pack import is_packed, packed_positions
+from .playback import is_bake_of
+from .poses import pose_at
+
+
+class ShownClayError(ValueError):
+    """The clay has no shape at a frame; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Particles:
+    """Particles of a clay object in world space."""
+
+    positions: NDArray[np.float64]
+    """Shape [N, 3]; Blender units, or metres where scaled so."""
+    colors: NDArray[np.float32]
+    """Linear RGBA, 0..1, shape [N, 4]."""
+    velocities: NDArray[np.float32]
+    """Shape [N, 3], per second; 0 where a shape is held."""
+    spacing: float
+    """Distance between neighbours, in the unit of the positions."""
+
+    def scaled(self, scale: float) -> Particles:
+        """The same in another unit."""
+        return replace(
+            self,
+            positions=self.positions * scale,
+            velocities=self.velocities * np.float32(scale),
+            spacing=self.spacing * scale,
+        )
+
+
+class ShownClay:
+    """Reads what clay objects show, frame by frame.
+
+    Objects that move (see `moves`) are taken where they are at the scene's current frame.
+
+    Args:
+        scene: Where the clay is.
+        objects: The clay objects.
+        cache: The bake that they play, or None.
+
+    Raises:
+        ShownClayError: if an object is no clay.
+        CacheError: if the cache cannot be read.
+    """
+
+    def __init__(
+        self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], cache: Cache | None
+    ) -> None:
+        self._scene = scene
+        self._objects = list(objects)
+        self._spacings = [world_spacing(item) for item in objects]
+        self._cache = cache
+        self._meta: Meta | None = None
+        self.baked: list[int] = []
+        """Numbers of the baked frames, sorted; none where the clay plays no bake."""
+        self.sculpted = False
+        """Whether the clay was sculpted since it was baked, so that it does not play that."""
+        if cache is not None and cache.exists() and not all(is_packed(item) for item in objects):
+            meta = cache.meta()
+            if is_bake_of(meta, self._objects):
+                self.sculpted = any(is_sculpted(item) for item in objects)
+                if not self.sculpted:
+                    self._meta, self.baked = meta, cache.frames()
+
+    def key(self, number: int) -> tuple[tuple[object, ...], ...]:
+        """What tells shapes apart: two frames with equal keys show the same."""
+        return tuple(self._key(item, number) for item in self._objects)
+
+    def read(self, number: int) -> list[Particles]:
+        """The particles of each object at a frame, in Blender units.
+
+        Args:
+            number: Frame number; packed frames are interpolated between two.
+
+        Raises:
+            ShownClayError: if an object has no shape there.
+            CacheError: if the frame is missing in the bake, or damaged.
+        """
+        if self._meta is None or not any(self._is_baked(item, number) for item in self._objects):
+            return [
+                self._read_own(item, spacing, number)
+                for item, spacing in zip(self._objects, self._spacings, strict=True)
+            ]
+        assert self._cache is not None
+        wanted = self._baked_frame(number)
+        if wanted not in self.baked:
+            raise ShownClayError(f"Frame {wanted} is missing in the bake. Press Resume.")
+        frame = self._cache.read_frame(wanted, meta=self._meta)
+        splits = np.cumsum([part.count for part in self._meta.clay])[:-1]
+        held = self._scene.tactile_clay.hold_frames > 1
+        velocities = np.zeros_like(frame.velocities) if held else frame.velocities
+        return [
+            _present(item, positions, motion, spacing, np.eye(4))
+            if self._is_baked(item, number)
+            else self._read_own(item, spacing, number)
+            for item, spacing, positions, motion in zip(
+                self._objects,
+                self._spacings,
+                np.split(frame.positions, splits),
+                np.split(velocities, splits),
+                strict=True,
+            )
+        ]
+
+    def _is_baked(self, item: bpy.types.Object, number: int) -> bool:
+        return bool(self.baked) and not is_packed(item) and pose_at(item, number) is None
+
+    def _baked_frame(self, number: int) -> int:
+        first, last = self.baked[0], self.baked[-1]
+        return held_frame(self._scene, min(max(number, first), last), first)
+
+    def _key(self, item: bpy.types.Object, number: int) -> tuple[object, ...]:
+        pose = pose_at(item, number)
+        where = (number,) if moves(item) else ()
+        if pose is not None:
+            return ("pose", pose.name, *where)
+        if is_packed(item):
+            return ("packed", number)
+        return ("baked", self._baked_frame(number)) if self.baked else ("own", *where)
+
+    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> Particles:
+        """Particles of a keyed, packed or sculpted shape, which goes with its object."""
+        pose = pose_at(item, number)
+        if pose is None and is_packed(item):
+            local: NDArray[np.float32] | None = packed_positions(item, number)
+        else:
+            local = read_points(pose or item, "position")
+        if local is None or len(local) == 0:
+            raise ShownClayError(f"{item.name!r} has no particles.")
+        still = np.zeros((len(local), 3), np.float32)
+        return _present(pose or item, local, still, spacing, item.matrix_world)
+
+
+def _present(
+    held: bpy.types.Object,
+    positions: NDArray[np.float32],
+    velocities: NDArray[np.float32],
+    spacing: float,
+    matrix: Any,
+) -> Particles:
+    """Those of a clay object's particles that are there."""
+    there = present_rows(held, positions)
+    return Particles(
+        transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
+    )
+
+
+def moves(item: bpy.types.Object) -> bool:
+    """Whether a clay object itself is moved: keyed, driven, constrained or by a parent.
+
+    A bake is in the world, but keyed, packed and sculpted shapes go with their object.
+    """
+    animation = item.animation_data
+    if item.parent is not None or len(item.constraints):
+        return True
+    if animation is None:
+        return False
+    paths = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
+    keyed = (find_curve(item, prefix + path) for prefix in ("", "delta_") for path in paths)
+    return bool(animation.drivers or animation.nla_tracks) or any(keyed)
+
+
+def world_spacing(item: bpy.types.Object) -> float:
+    """Distance between the particles of a clay object in the world [Blender units].
+
+    Raises:
+        ShownClayError: if the object is no clay.
+    """
+    if item.type != "POINTCLOUD":
+        raise ShownClayError(f"{item.name!r} is a {item.type.lower()}, not clay.")
+    spacing = getattr(getattr(item, "tactile_clay", None), "spacing", 0.0)
+    if not spacing > 0:
+        radius = item.data.attributes.get("radius")
+        spacing = 2 * radius.data[0].value if radius and len(radius.data) else 0.0
+    if not spacing > 0:
+        raise ShownClayError(f"{item.name!r} has no particle distance. Make the clay again.")
+    matrix = np.array(item.matrix_world, np.float64)
+    stretch = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+    if not stretch > 0:
+        raise ShownClayError(f"{item.name!r} is scaled to nothing. Give it a scale above 0.")
+    return float(spacing * stretch)
+
+
+def particles_surface(
+    parts: Sequence[Particles], *, moving: bool = False
+) -> tuple[Surface, int, float]:
+    """Reconstruct the surface of clay; objects of one spacing that touch become one piece.
+
+    Args:
+        parts: The particles.
+        moving: Whether the surface gets velocities.
+
+    Returns:
+        The surface, the number of particles, and their volume, in the unit of the positions.
+
+    Raises:
+        SurfaceError: if the particles have no surface.
+        ImportError: if pysplashsurf is missing.
+    """
+    groups: dict[float, list[Particles]] = {}
+    for part in parts:
+        # Single precision in the properties must not keep equal spacings apart.
+        groups.setdefault(float(f"{part.spacing:.5g}"), []).append(part)
+    surfaces = [
+        reconstruct(
+            np.concatenate([part.positions for part in group]),
+            spacing,
+            colors=np.concatenate([part.colors for part in group]),
+            velocities=np.concatenate([part.velocities for part in group]) if moving else None,
+        )
+        for spacing, group in groups.items()
+    ]
+    count = sum(len(part.positions) for part in parts)
+    volume = sum(len(p.positions) * spacing**3 for spacing, g in groups.items() for p in g)
+    return _joined(surfaces), count, volume
+
+
+def _joined(surfaces: Sequence[Surface]) -> Surface:
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
+    colors = [surface.colors for surface in surfaces if surface.colors is not None]
+    velocities = [surface.velocities for surface in surfaces if surface.velocities is not None]
+    return Surface(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate(
+            [surface.faces + start for surface, start in zip(surfaces, starts, strict=False)]
+        ),
+        np.concatenate(colors) if colors else None,
+        np.concatenate(velocities) if velocities else None,
+    )

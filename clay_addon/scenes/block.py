@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A block of clay on a table, to begin with; and what other ready-made clay is made with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.scene.material import Material
+from ..clay.make_clay import ClayError, make_clay
+from ..model.clay_scene import clay_objects, collider_objects
+from ..model.user_materials import MATERIAL_VALUES
+from .parts import mesh_object, plain_material
+from .stage import add_table, scene_preset
+
+BOX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
+"""Of a box, its lower corners first, either four counter-clockwise seen from above."""
+
+
+def box_corners(size: Sequence[float]) -> NDArray[np.float64]:
+    """Corners of a box that stands on the origin, shape [8, 3]."""
+    corners = [
+        (x, y, z)
+        for z in (0.0, 1.0)
+        for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+    ]
+    return np.array(corners) * np.array(size, np.float64)
+
+
+def new_spacing(scene: bpy.types.Scene, spacing: float, preset: float) -> float:
+    """The spacing for clay that is added to a scene [Blender units].
+
+    Args:
+        scene: Where it is added.
+        spacing: What was asked for [Blender units]; 0 for no wish.
+        preset: What it is where neither the scene's clay nor its settings say [m].
+
+    Raises:
+        ClayError: The scene's clay has another spacing than was asked for.
+    """
+    there = clay_objects(scene)
+    if not there:
+        chosen = scene.tactile_clay.spacing_chosen
+        return spacing or chosen or preset / scene.unit_settings.scale_length
+    common = float(there[0].tactile_clay.spacing)
+    if spacing and abs(spacing - common) > 1e-6 * common:
+        millimeters = 1e3 * scene.unit_settings.scale_length
+        raise ClayError(
+            f"All clay of a scene needs the same spacing: {there[0].name!r} has "
+            f"{common * millimeters:.3g} mm, not {spacing * millimeters:.3g} mm. Use that, or "
+            "remove the other clay."
+        )
+    return common
+
+
+def clay_from(
+    context: bpy.types.Context,
+    body: bpy.types.Object,
+    spacing: float,
+    *,
+    preset: str | None = None,
+    material: Material | None = None,
+    color: Sequence[float],
+) -> bpy.types.Object:
+    """Make clay of one mesh; should it fail, the mesh is gone again.
+
+    Args:
+        context: Where to make it.
+        body: A closed mesh object, which is kept, hidden.
+        spacing: Distance between particles [Blender units].
+        preset: Name of a material preset; the scene's where not given.
+        material: Values of its own instead.
+        color: Linear RGB.
+
+    Raises:
+        ClayError: It cannot be made; the message says why.
+    """
+    mesh = body.data
+    mesh.materials.append(plain_material(body.name, (color[0], color[1], color[2]), 0.6))
+    context.view_layer.update()
+    name = body.name
+    body.name = mesh.name = f"{name} shape"
+    try:
+        clay = make_clay(context, [body], spacing, preset, name)
+    except ClayError:
+        bpy.data.meshes.remove(mesh)
+        raise
+    if material is not None:
+        for key in MATERIAL_VALUES:
+            setattr(clay.tactile_clay, key, getattr(material, key))
+    return clay
+
+
+def add_block(
+    context: bpy.types.Context,
+    *,
+    size: float = 0.0,
+    spacing: float = 0.0,
+    preset: str | None = None,
+    table: bool = True,
+) -> bpy.types.Object:
+    """Stand a cube of clay on the 3D cursor.
+
+    Args:
+        context: Its collection takes it.
+        size: Edge [Blender units]; 0 for one of about 4,000 particles.
+        spacing: Distance between particles [Blender units]; 0 for that of the scene's clay.
+        preset: Name of a material preset; the scene's where not given.
+        table: Whether to put a table under it, in a scene without any collider.
+
+    Returns:
+        The clay.
+
+    Raises:
+        ClayError: It cannot be made; the message says why, and nothing is left behind.
+    """
+    scene = context.scene
+    data = scene_preset("block")
+    spacing = new_spacing(scene, spacing, data["spacing"])
+    size = size or spacing * data["size"] / data["spacing"]
+    body = mesh_object("Clay block", box_corners((size, size, size)), BOX_FACES)
+    body.location = scene.cursor.location
+    clay = clay_from(context, body, spacing, preset=preset, color=data["color"])
+    if table and not collider_objects(scene):
+        add_table(context, scene.cursor.location)
+        _select_alone(context, clay)
+    return clay
+
+
+def _select_alone(context: bpy.types.Context, item: bpy.types.Object) -> None:
+    for other in context.selected_objects:
+        other.select_set(False)
+    item.select_set(True)
+    context.view_layer.objects.active = item

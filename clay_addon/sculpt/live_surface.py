@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The surface of clay while it is worked live: a mesh object that stands for the clay meanwhile.
+
+Neither a saved file nor one loaded or undone to keeps it: what stands for the clay goes, and the
+clay shows as before.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import weakref
+from collections.abc import Sequence
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.surface_mesh import fill_surface_mesh
+from ..clay.look import MODIFIER_NAME
+from ..clay.look_material import clay_material
+from ..core.surface.worker import Part, SurfaceWorker
+from ..playback.poses import pose_modifier
+
+OBJECT_NAME = "Live clay"
+LONGEST_SECONDS = 0.2
+"""A surface that takes longer does not keep pace with hands."""
+_MARK = "tactile_clay_live_surface"
+"""Custom property of the object that stands for the clay."""
+_BEFORE = "tactile_clay_before_live"
+"""Custom property of clay that something stands for: how it was shown before."""
+_POINTS = object()
+"""What is shown where it is no surface."""
+
+_open: weakref.WeakSet[LiveSurface] = weakref.WeakSet()
+
+
+class LiveSurface:
+    """Shows clay that is worked live as one smooth, coloured surface. For the main thread.
+
+        live = LiveSurface(context, clay_objects(context.scene))
+        live.offer([(positions, colors)])  # each tick
+        live.show()                        # each tick
+        live.close()
+
+    The clay objects are hidden from the viewport, not from evaluation, and their own surface, which
+    takes far longer, is switched off there; renders show them as ever. Where surfaces do not keep
+    pace, points are shown while the clay moves, and its surface as soon as it is still.
+
+    Args:
+        context: Its scene is where the surface is shown.
+        clay_objects: Clay of one spacing. The first one's material is the surface's.
+
+    Raises:
+        ValueError: There is no clay.
+        SurfaceError: The spacing of the clay is not a positive length.
+    """
+
+    def __init__(
+        self, context: bpy.types.Context, clay_objects: Sequence[bpy.types.Object]
+    ) -> None:
+        if not clay_objects:
+            raise ValueError("There is no clay to show.")
+        from ..core.surface.quick.surface import QuickSurface, load_kernels
+
+        self.spacing = clay_objects[0].tactile_clay.spacing
+        quick = QuickSurface(self.spacing)
+        load_kernels()
+        # Undo makes new objects of the old ones, with the same identifiers.
+        self._scene_id = context.scene.session_uid
+        self._clay_ids = [item.session_uid for item in clay_objects]
+        sweep(context.scene)
+        self._worker: SurfaceWorker | None = SurfaceWorker(quick)
+        self._shown: object = None
+        self._writing_seconds = 0.0
+        _open.add(self)
+
+    @property
+    def problem(self) -> str:
+        """Why there is no surface now, empty where there is one or none was asked for."""
+        return self._worker.finished().problem if self._worker else ""
+
+    @property
+    def seconds(self) -> float:
+        """How long a surface takes, on its own thread; about that. 0 before the first."""
+        return self._worker.seconds if self._worker else 0.0
+
+    @property
+    def keeps_pace(self) -> bool:
+        """Whether surfaces are made fast enough to show the clay while it moves."""
+        return self.seconds + self._writing_seconds <= LONGEST_SECONDS
+
+    def offer(self, parts: Sequence[Part]) -> None:
+        """Hand over where the clay is now; never waits.
+
+        Args:
+            parts: World positions [Blender units], shape [N, 3], and linear RGBA, shape [N, 4], of
+                each clay object. They are copied.
+        """
+        if self._worker:
+            self._worker.offer(parts)
+
+    def show(self) -> bool:
+        """Show the newest surface that is finished; whether that changed anything."""
+        if self._worker is None or self._scene() is None:
+            return False
+        finished = self._worker.finished()
+        surface = finished.surface
+        if surface is None:
+            return bool(finished.problem) and self._show_points()
+        if surface is self._shown:
+            return False
+        if not (self.keeps_pace or finished.settled):
+            return self._show_points()
+        began = time.perf_counter()
+        item = self._object()
+        fill_surface_mesh(
+            item.data,
+            surface.vertices,
+            surface.faces,
+            spacing=self.spacing,
+            colors=surface.colors,
+            edges=surface.edges,
+            face_edges=surface.face_edges,
+        )
+        self._writing_seconds = time.perf_counter() - began
+        self._switch(to_surface=True)
+        self._shown = surface
+        return True
+
+    def leave(self) -> None:
+        """Let the clay show itself until the next surface is there."""
+        sweep(self._scene())
+        self._shown = None
+
+    def close(self) -> None:
+        """End the thread, and show the clay as before. A second call does nothing."""
+        worker, self._worker = self._worker, None
+        if worker is None:
+            return
+        _open.discard(self)
+        worker.end()
+        self.leave()
+
+    def _show_points(self) -> bool:
+        """Show the clay's points instead of a surface; whether that changed anything."""
+        changed = self._shown is not _POINTS
+        if changed:
+            self._switch(to_surface=False)
+            self._shown = _POINTS
+        return changed
+
+    def _switch(self, *, to_surface: bool) -> None:
+        scene = self._scene()
+        for item in _marked(scene):
+            _hide(item, scene, not to_surface)
+        for clay in self._clay():
+            _stand_for(clay, scene)
+            _hide(clay, scene, to_surface)
+
+    def _scene(self) -> bpy.types.Scene | None:
+        found = (scene for scene in bpy.data.scenes if scene.session_uid == self._scene_id)
+        return next(found, None)
+
+    def _clay(self) -> list[bpy.types.Object]:
+        scene = self._scene()
+        own = {item.session_uid: item for item in scene.objects} if scene else {}
+        return [own[identifier] for identifier in self._clay_ids if identifier in own]
+
+    def _object(self) -> bpy.types.Object:
+        """The object that stands for the clay, made where there is none."""
+        scene = self._scene()
+        assert scene is not None
+        for item in _marked(scene):
+            return item
+        mesh = bpy.data.meshes.new(OBJECT_NAME)
+        clay = self._clay()
+        own = clay[0].active_material if clay else None
+        mesh.materials.append(own or clay_material())
+        item = bpy.data.objects.new(OBJECT_NAME, mesh)
+        item[_MARK] = True
+        item.hide_render = item.hide_select = True
+        scene.collection.objects.link(item)
+        return item
+
+
+def sweep(scene: bpy.types.Scene | None) -> None:
+    """Take away what stands for the clay of a scene, and show the clay as before."""
+    if scene is None:
+        return
+    for item in _marked(scene):
+        mesh = item.data
+        bpy.data.objects.remove(item)
+        if mesh is not None and not mesh.users:
+            bpy.data.meshes.remove(mesh)
+    for clay in scene.objects:
+        if _BEFORE in clay:
+            before = json.loads(clay[_BEFORE])
+            del clay[_BEFORE]
+            modifier = clay.modifiers.get(MODIFIER_NAME)
+            if modifier is not None:
+                modifier.show_viewport = before["surface"]
+            keyed = pose_modifier(clay)
+            if keyed is not None:
+                keyed.show_viewport = before["poses"]
+            for name in before["seen"]:
+                layer = scene.view_layers.get(name)
+                if layer and clay.name in layer.objects:
+                    clay.hide_set(False, view_layer=layer)
+                    clay.select_set(name in before["selected"], view_layer=layer)
+
+
+def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
+    """Note how clay is shown, once, and switch off the surface of its own in the viewport."""
+    if _BEFORE in clay or scene is None:
+        return
+    modifier = clay.modifiers.get(MODIFIER_NAME)
+    layers = [layer for layer in scene.view_layers if clay.name in layer.objects]
+    keyed = pose_modifier(clay)
+    before = {
+        "surface": modifier is not None and modifier.show_viewport,
+        "poses": keyed is not None and keyed.show_viewport,
+        "seen": [layer.name for layer in layers if not clay.hide_get(view_layer=layer)],
+        "selected": [layer.name for layer in layers if clay.select_get(view_layer=layer)],
+    }
+    clay[_BEFORE] = json.dumps(before)
+    for each in (modifier, keyed):
+        if each is not None:
+            each.show_viewport = False
+
+
+def _hide(item: bpy.types.Object, scene: bpy.types.Scene | None, hidden: bool) -> None:
+    """Hide an object from the viewport in all view layers, or show it; it is still evaluated."""
+    for layer in scene.view_layers if scene else ():
+        if item.name in layer.objects and item.hide_get(view_layer=layer) != hidden:
+            item.hide_set(hidden, view_layer=layer)
+
+
+def _marked(scene: bpy.types.Scene | None) -> list[bpy.types.Object]:
+    return [] if scene is None else [item for item in scene.objects if _MARK in item]
+
+
+@persistent
+def _on_reload(*_: object) -> None:
+    """Sweep what a file or an undo step holds, and show again what is live."""
+    for live in list(_open):
+        if live._scene() is None:
+            live.close()
+        else:
+            live.leave()
+            live.show()
+    for scene in bpy.data.scenes:
+        if scene.session_uid not in {live._scene_id for live in _open}:
+            sweep(scene)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    # The session's scene went with its file, even if the new one has one of that name.
+    for live in list(_open):
+        live.close()
+    _on_reload()
+
+
+@persistent
+def _before_save(*_: object) -> None:
+    for live in _open:
+        live.leave()
+
+
+@persistent
+def _after_save(*_: object) -> None:
+    for live in _open:
+        live.show()
+
+
+_HANDLERS = (
+    ("load_post", _on_load),
+    ("undo_post", _on_reload),
+    ("redo_post", _on_reload),
+    ("save_pre", _before_save),
+    ("save_post", _after_save),
+    ("save_post_fail", _after_save),
+)
+
+
+def register() -> None:
+    """Add the handlers, each once."""
+    add_handlers(_HANDLERS)
+
+
+def unregister() -> None:
+    """Close what is live, and remove the handlers."""
+    for live in list(_open):
+        live.close()
+    remove_handlers(_HANDLERS)

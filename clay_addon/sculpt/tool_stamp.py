@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A stamp of one's own: any closed mesh object as a sculpting tool."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh
+from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..core.tools.presets import ToolPreset, ToolPresetError, load_tool_preset
+
+
+def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ToolPreset:
+    """A stamp in the shape of a mesh object, modifiers and scale applied.
+
+    The object's own -Z is the face that prints. It is moved so that its lowest point is at height
+    0 amid its extent, and scaled so that it fits a circle of one brush radius seen along Z.
+
+    Args:
+        item: A closed mesh object; it stays as it is.
+        depsgraph: The evaluated scene.
+
+    Raises:
+        ToolPresetError: The object cannot be a stamp; the message names it and says why.
+    """
+    if item.type != "MESH":
+        raise ToolPresetError(
+            f"{item.name!r} is no mesh ({item.type.lower()}), so it cannot be a stamp. Choose a "
+            "closed mesh, or convert it to one (Object > Convert > Mesh)."
+        )
+    if is_switched_off(item, depsgraph):
+        raise ToolPresetError(f"{item.name!r} {SWITCHED_OFF}")
+    vertices, triangles = evaluated_mesh(item, depsgraph)
+    scale = item.evaluated_get(depsgraph).matrix_world.to_scale()
+    matrix = np.diag((*scale, 1.0))
+    try:
+        vertices, triangles = check_closed_mesh(
+            transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+        )
+    except MeshError as error:
+        raise ToolPresetError(str(error)) from error
+    low, high = vertices.min(0), vertices.max(0)
+    vertices -= (*(0.5 * (low + high))[:2], low[2])
+    vertices /= np.hypot(vertices[:, 0], vertices[:, 1]).max()
+    return replace(
+        load_tool_preset("stamp"),
+        name=item.name,
+        label=item.name,
+        description=f"Prints the shape of {item.name}",
+        vertices=vertices,
+        faces=triangles,
+    )

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A clay hand while its scene is simulated: how it was bound, and what its bones do."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
+from ..hands.hand import hand_bone_matrices, hand_message, read_hand_rig
+from ..hands.reading import HandError, hand_armature
+from ..tracking.armature import CONTACT_PROPERTY
+
+if TYPE_CHECKING:
+    from ...solver import Hand, Scene
+
+TRACKED_FROM = 0.5
+"""A hand with less contact than this is not there for the clay. When it is there again, the solver
+lets it take hold by and by."""
+
+
+class HandState(NamedTuple):
+    """What a hand does at a frame."""
+
+    bones: NDArray[np.float64]
+    """World from each bone's own coordinates [m], in the order of the rig, shape [B, 4, 4]."""
+    tracked: bool
+    """Whether it is known where the hand is."""
+
+
+class MovingHand:
+    """A clay hand of a scene that is simulated.
+
+    Reading it links a copy of it into the scene for a moment, so this is neither for a handler nor
+    for a panel.
+
+    Args:
+        context: Where the hand is.
+        item: Its mesh object.
+        hold_stiffness: How stiffly it holds its pose against the clay [N/m]; None where the clay
+            cannot move it.
+
+    Raises:
+        HandError: It is not bound, or changed since; the message names it and says what to do.
+    """
+
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        item: bpy.types.Object,
+        *,
+        hold_stiffness: float | None = None,
+    ) -> None:
+        self.item = item
+        self.hold_stiffness = hold_stiffness
+        self.rig = read_hand_rig(context, item)
+        # A custom property that is new does not reach the evaluated armature by itself.
+        hand_armature(item).update_tag()
+        self.friction = float(item.tactile_clay.collider_friction)
+        self.handle: Hand | None = None
+        self._notice = hand_message(context.scene, item)
+        self._dropped: dict[int, str] = {}
+
+    def digest_parts(self) -> tuple[object, ...]:
+        """What decides how the hand works the clay, apart from its motion."""
+        gives_way = () if self.hold_stiffness is None else (self.hold_stiffness,)
+        rig = (np.asarray(part) for part in self.rig.to_arrays().values())
+        return (self.friction, *gives_way, *rig)
+
+    def check(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Refuse a hand that Blender does not evaluate.
+
+        Raises:
+            HandError: It, or its armature, is switched off or gone.
+        """
+        for part in (self.item, hand_armature(self.item)):
+            if is_switched_off(part, depsgraph):
+                raise HandError(f"{part.name!r} {SWITCHED_OFF}")
+
+    def start(self, scene: Scene, depsgraph: bpy.types.Depsgraph) -> None:
+        """Add the hand to a solver's scene, where it is at the current frame.
+
+        Raises:
+            HandError: Its pose is not one to start from.
+            ValueError: The solver refuses the hand.
+        """
+        handle = scene.add_hand(
+            self.rig, friction=self.friction, hold_stiffness=self.hold_stiffness
+        )
+        bones = self._bones(hand_bone_matrices(self.item, depsgraph))
+        try:
+            handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+        except ValueError as error:
+            raise HandError(
+                f"{self.item.name!r} cannot start from its pose at frame "
+                f"{depsgraph.scene.frame_current}: {_reason(error)}"
+            ) from error
+        handle.set_tracked(self._tracked(depsgraph))
+        self.handle = handle
+
+    def feed(self, depsgraph: bpy.types.Depsgraph) -> HandState:
+        """Tell the solver, if it runs, what the hand does at the current frame.
+
+        A pose that cannot be, as one with a mirrored bone, is dropped and the last good one held;
+        `warnings` tells of it.
+
+        Raises:
+            HandError: The hand is switched off or gone.
+        """
+        self.check(depsgraph)
+        number = depsgraph.scene.frame_current
+        tracked = self._tracked(depsgraph)
+        try:
+            bones = self._bones(hand_bone_matrices(self.item, depsgraph))
+            if self.handle is not None:
+                self.handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+        except (HandError, ValueError) as error:
+            if isinstance(error, HandError):
+                bones = np.full((len(self.rig.bone_names), 4, 4), np.nan)
+            if self.handle is not None:
+                self._dropped[number] = _reason(error)
+        if self.handle is not None:
+            self.handle.set_tracked(tracked)
+        return HandState(bones, tracked)
+
+    def held(self) -> NDArray[np.float64]:
+        """The last good pose that the solver was told [m], shape [B, 4, 4]."""
+        assert self.handle is not None
+        return self.handle.bones
+
+    def hold(self, bones: NDArray[np.float64]) -> None:
+        """Take up a pose that `held` gave.
+
+        Raises:
+            ValueError: It is not of this hand.
+        """
+        assert self.handle is not None
+        if bones.shape != self.handle.bones.shape:
+            raise ValueError(f"The pose of {self.item.name!r} has shape {bones.shape}.")
+        self.handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+
+    def warnings(self) -> list[str]:
+        """What the user should know of how the hand went."""
+        found = [self._notice] if self._notice else []
+        if self._dropped:
+            first = min(self._dropped)
+            count = len(self._dropped)
+            found.append(
+                f"The pose of {self.item.name!r} was dropped at {count} "
+                f"{'frame' if count == 1 else 'frames'}, first at frame {first}, and the last good "
+                f"one held: {self._dropped[first]}"
+            )
+        return found
+
+    def _bones(self, matrices: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        missing = [name for name in self.rig.bone_names if name not in matrices]
+        if missing:
+            raise HandError(
+                f"{self.item.name!r} has lost its bone {missing[0]!r}. Undo, or press Make Clay "
+                "Hand again."
+            )
+        return np.stack([matrices[name] for name in self.rig.bone_names])
+
+    def _tracked(self, depsgraph: bpy.types.Depsgraph) -> bool:
+        armature = hand_armature(self.item).evaluated_get(depsgraph)
+        contact = armature.get(CONTACT_PROPERTY, 1.0)
+        if not isinstance(contact, int | float) or not math.isfinite(contact):
+            return False
+        return contact >= TRACKED_FROM
+
+
+def _reason(error: Exception) -> str:
+    return str(error).removesuffix(" The last good pose is kept.")

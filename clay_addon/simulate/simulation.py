@@ -1,0 +1,521 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a Blender scene to a solver: clay, colliders, hands, and what decides the result.
+
+Blender's units are turned into metres here, and back, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.geometry.closed_mesh import MeshError
+from ...solver.geometry.polar import rotation_and_stretch
+from ..base.mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    flat_plane,
+    is_switched_off,
+    transform,
+    turn_for,
+)
+from ..core.storage.cache import ClaySlice
+from ..hands.hand import hand_objects
+from ..hands.reading import HandError
+from ..model.clay_scene import (
+    SimulationError,
+    checked_material,
+    clay_colors,
+    clay_objects,
+    clay_positions,
+    collider_objects,
+    frames_per_second,
+    is_enabled,
+    solver_settings,
+)
+from ..model.collider import TAKE_TOOL, ColliderError, resolve_kind
+from ..model.digest import digest_of, scene_digests
+from ..wheel.wheel import is_wheel
+from .hand_motion import HandState, MovingHand
+
+if TYPE_CHECKING:
+    from ...solver import MeshCollider, Scene, Solver
+    from ..take.film_edits import EditedClay
+
+
+_HELD = "scene_hand_{}_held"
+"""Key of the pose that a hand holds, in a snapshot."""
+_REFUSED = "The solver cannot take this scene: {}"
+
+
+LIVE_HOLD_STIFFNESS = 600.0
+"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
+fingertip pressed with 6 N is a centimetre behind."""
+
+
+@dataclass
+class _MovingCollider:
+    """A mesh collider, as it is at the first frame."""
+
+    item: bpy.types.Object
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    stretch: NDArray[np.float64]
+    handle: MeshCollider | None = None
+
+
+@dataclass
+class _FlatCollider:
+    """An endless plane, which stands still."""
+
+    item: bpy.types.Object
+    point: NDArray[np.float64]
+    normal: NDArray[np.float64]
+
+
+class Simulation:
+    """A Blender scene ready to be simulated, as it is at the current frame.
+
+    For a bake the current frame must be the first one. Making it checks everything that can be
+    checked and starts no solver yet.
+
+    Args:
+        context: Its scene is what is simulated.
+        live: For a live session: clay starts as it is shown, what is switched off in the viewport
+            is left out, and hands give way to the clay.
+
+    Raises:
+        SimulationError: Something in the scene is wrong; the message names the object and says
+            what to do.
+    """
+
+    def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
+        scene = context.scene
+        self.scene = scene
+        self.scale = scene.unit_settings.scale_length
+        self.live = live
+        if not clay_objects(scene):
+            raise SimulationError(
+                "There is no clay in the scene. Select closed meshes and press Make Clay."
+            )
+        # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
+        self.hands = _read_hands(context, live=live)
+        depsgraph = context.evaluated_depsgraph_get()
+        clay = _simulated(clay_objects(scene), depsgraph, live=live)
+        if not clay:
+            raise SimulationError(
+                "All clay of the scene is switched off in the viewport. Switch some of it on."
+            )
+        _check_clay(clay, depsgraph)
+        self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
+        self.materials = tuple(checked_material(item) for item in clay)
+        attribute = "position" if live else "rest_position"
+        self.rest = [clay_positions(item, attribute) for item in clay]
+        self.colors = np.concatenate([clay_colors(item) for item in clay])
+        self.edited: EditedClay | None = None
+        """Edits that are carried out on the way; None where there are none."""
+        if not live and scene.tactile_clay.film_edits:
+            from ..take.film_edits import EditedClay
+
+            self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
+        self.spacing = _common_spacing(clay, self.scale)
+        self.settings = solver_settings(scene)
+        self.time_step = 1.0 / frames_per_second(scene)
+        gravity = np.array(scene.gravity if scene.use_gravity else (0.0, 0.0, 0.0), np.float64)
+        self.gravity = gravity * self.scale
+        self._planes: list[_FlatCollider] = []
+        self._meshes: list[_MovingCollider] = []
+        self._surfaces: dict[str, dict[str, float]] = {}
+        middle = np.concatenate(self.rest).astype(np.float64).mean(0)
+        for item in _simulated(collider_objects(scene), depsgraph, live=live):
+            self._add_collider(item, depsgraph, middle)
+        self.solver: Solver | None = None
+
+    def _add_collider(
+        self,
+        item: bpy.types.Object,
+        depsgraph: bpy.types.Depsgraph,
+        middle: NDArray[np.float64],
+    ) -> None:
+        try:
+            kind = resolve_kind(item, item.tactile_clay.collider_kind, depsgraph)
+        except ColliderError as error:
+            raise SimulationError(str(error)) from error
+        vertices, triangles = evaluated_mesh(item, depsgraph)
+        matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
+        if kind == "PLANE" and is_wheel(item):
+            raise SimulationError(
+                f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
+                "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
+            )
+        self._surfaces[item.name] = {
+            "friction": item.tactile_clay.collider_friction,
+            "adhesion": item.tactile_clay.collider_adhesion,
+        }
+        if kind == "MESH":
+            _, stretch = rotation_and_stretch(matrix[:3, :3])
+            self._meshes.append(
+                _MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
+            )
+            return
+        flat = flat_plane(transform(matrix, vertices))
+        assert flat is not None
+        point, normal = flat
+        # The free side of a table is the side the clay is on, whichever way its face is turned.
+        side = float(normal @ (middle - point))
+        if abs(side) < 1e-9:
+            side = normal[2]
+        self._planes.append(_FlatCollider(item, point, normal if side >= 0 else -normal))
+
+    # What decides the result ------------------------------------------------------------------
+
+    def digests(self) -> dict[str, str]:
+        """A digest for each subject that decides the result, to tell which one has changed."""
+        return {
+            **scene_digests(self.scene),
+            "colliders": digest_of(
+                tuple(self._surfaces.values()),
+                *((part.point, part.normal) for part in self._planes),
+                *((part.vertices, part.triangles, part.stretch) for part in self._meshes),
+            ),
+            "hands": digest_of(*(hand.digest_parts() for hand in self.hands)),
+        }
+
+    def moving_parts(self) -> str:
+        """What can move in this scene besides the clay, in words and in the genitive."""
+        if not self.hands:
+            return "colliders'"
+        return "colliders' or hands'" if self._meshes else "hands'"
+
+    def warnings(self) -> list[str]:
+        """What the user should know of how the hands went."""
+        warnings = [text for hand in self.hands for text in hand.warnings()]
+        if self.edited is not None and self.edited.lost:
+            warnings.append(
+                f"{self.edited.lost} particles of added clay found no room: the clay moved more "
+                "between strokes than was foreseen."
+            )
+        return warnings
+
+    # Running ----------------------------------------------------------------------------------
+
+    def start(self, depsgraph: bpy.types.Depsgraph, device: str) -> None:
+        """Build the solver in its rest state, at the current frame.
+
+        Args:
+            depsgraph: The evaluated scene.
+            device: What `solver_device` gave.
+
+        Raises:
+            SimulationError: The solver refuses the scene; the message says why.
+        """
+        self.build(self.prepare(depsgraph), device)
+
+    def prepare(self, depsgraph: bpy.types.Depsgraph) -> Scene:
+        """Say what is in the solver's scene, at the current frame.
+
+        Raises:
+            SimulationError: The solver refuses it; the message says why.
+        """
+        from ...solver import Scene
+
+        try:
+            scene = Scene(spacing=self.spacing * self.scale, gravity=self.gravity.tolist())
+            for (points, colors), material in zip(self._bodies(), self.materials, strict=True):
+                scene.add_clay(points.astype(np.float64) * self.scale, material, colors=colors)
+            for plane in self._planes:
+                surface = self._surfaces[plane.item.name]
+                point = plane.point * self.scale
+                scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
+            for part in self._meshes:
+                vertices, _ = self._state(part, depsgraph)
+                surface = self._surfaces[part.item.name]
+                part.handle = scene.add_mesh(vertices, part.triangles, **surface)
+                part.handle.set_enabled(is_enabled(part.item, depsgraph))
+            for hand in self.hands:
+                hand.start(scene, depsgraph)
+            self.follow(depsgraph)
+        except HandError as error:
+            raise SimulationError(str(error)) from error
+        except (MeshError, ValueError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
+        return scene
+
+    def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """World positions [Blender units] and colours of each clay object's particles."""
+        if self.edited is not None:
+            return self.edited.bodies()
+        ends = np.cumsum([len(points) for points in self.rest])[:-1]
+        return list(zip(self.rest, np.split(self.colors, ends), strict=True))
+
+    def build(self, scene: Scene, device: str) -> None:
+        """Build the solver; this needs no Blender, so any thread may do it.
+
+        Args:
+            scene: What `prepare` gave.
+            device: What `solver_device` gave.
+
+        Raises:
+            SimulationError: The solver refuses the scene; the message says why.
+        """
+        from ...solver import Solver
+
+        self._device = device
+        try:
+            self.solver = Solver(scene, self.settings, device=device)
+        except (ValueError, RuntimeError) as error:
+            raise SimulationError(_REFUSED.format(error)) from error
+
+    def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
+        """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
+        return bytes.fromhex(digest_of(*self.follow(depsgraph)))
+
+    def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
+        """Tell the solver, if it runs, where colliders and hands are at the current frame.
+
+        Returns:
+            What they do: all that decides the next step.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+        """
+        self._check_followed(depsgraph)
+        self._check_planes(depsgraph)
+        states = [self._state(part, depsgraph) for part in self._meshes]
+        enabled = [is_enabled(part.item, depsgraph) for part in self._meshes]
+        for part, (vertices, pose), touches in zip(self._meshes, states, enabled, strict=True):
+            if part.handle is None:
+                continue
+            part.handle.set_enabled(touches)
+            try:
+                if not np.array_equal(vertices, part.handle.vertices):
+                    part.handle.set_vertices(vertices)
+                part.handle.set_pose(pose)
+            except ValueError as error:
+                raise SimulationError(
+                    f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
+                ) from error
+        lifted = [which for which, touches in enumerate(enabled) if not touches]
+        said = [("lifted", *lifted)] if lifted else []
+        return [*states, *said, *self._feed_hands(depsgraph)]
+
+    def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
+        try:
+            return [hand.feed(depsgraph) for hand in self.hands]
+        except HandError as error:
+            raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
+
+    def step(self, part: float = 1.0) -> None:
+        """Advance by a part of a frame, to where `feed` put the colliders."""
+        assert self.solver is not None
+        self.solver.step(part * self.time_step)
+
+    def reach(self, number: int, *, steps: bool) -> bytes:
+        """Bring the scene to a frame from the one before, by way of the moments between them.
+
+        Args:
+            number: The frame.
+            steps: Whether the solver steps on to each moment.
+
+        Returns:
+            Sixteen bytes that say what colliders and hands did.
+
+        Raises:
+            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+        """
+        count = self.scene.tactile_clay.motion_samples
+        done = []
+        for sample in range(1, count + 1):
+            if sample < count:
+                self.scene.frame_set(number - 1, subframe=sample / count)
+            else:
+                self.scene.frame_set(number)
+            done.append(self.feed(bpy.context.evaluated_depsgraph_get()))
+            if steps:
+                self.step(1.0 / count)
+                self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
+        return done[0] if count == 1 else bytes.fromhex(digest_of(*done))
+
+    def _edit(self, after: float, until: float) -> None:
+        """Carry out the edits between two moments [frames]."""
+        edits = self.edited.due(after, until) if self.edited is not None else ()
+        if not edits:
+            return
+        assert self.edited is not None and self.solver is not None
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        if self.edited.apply(edits, positions):
+            self._build_anew()
+
+    def _build_anew(self) -> None:
+        self.build(self.prepare(bpy.context.evaluated_depsgraph_get()), self._device)
+
+    def snapshot(self) -> dict[str, NDArray[Any]]:
+        """Everything that decides what the next steps do, as plain arrays."""
+        assert self.solver is not None
+        held = {_HELD.format(number): hand.held() for number, hand in enumerate(self.hands)}
+        edited = self.edited.snapshot() if self.edited is not None else {}
+        return {**self.solver.snapshot(), **held, **edited}
+
+    def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
+        """Take up a state that `snapshot` gave, after `feed` at its frame.
+
+        Raises:
+            KeyError: A hand is missing in it.
+            ValueError: It is of another scene, or damaged.
+        """
+        assert self.solver is not None
+        rest = dict(snapshot)
+        # At the frame itself a hand may have a pose that was dropped, and hold an earlier one.
+        held = [rest.pop(_HELD.format(number)) for number in range(len(self.hands))]
+        try:
+            if self.edited is not None:
+                changed = self.edited.restore(rest)
+                rest = {k: v for k, v in rest.items() if not k.startswith("scene_edit_")}
+                if changed:
+                    self._build_anew()
+            self.solver.restore(rest)
+        except (KeyError, ValueError):
+            if self.edited is not None:
+                self.edited.begin()
+                self._build_anew()
+            raise
+        for hand, bones in zip(self.hands, held, strict=True):
+            hand.hold(bones)
+
+    def positions(self) -> NDArray[np.float32]:
+        """World positions [Blender units], shape [N, 3]."""
+        assert self.solver is not None
+        positions = (self.solver.positions() / self.scale).astype(np.float32)
+        return positions if self.edited is None else self.edited.spread(positions)
+
+    def velocities(self) -> NDArray[np.float32]:
+        """World velocities [Blender units/s], shape [N, 3]."""
+        assert self.solver is not None
+        velocities = (self.solver.velocities() / self.scale).astype(np.float32)
+        return velocities if self.edited is None else self.edited.spread(velocities)
+
+    def _state(
+        self, part: _MovingCollider, depsgraph: bpy.types.Depsgraph
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vertices with the object's scale in them [m], and its pose without it [m]."""
+        vertices, _ = evaluated_mesh(part.item, depsgraph)
+        if vertices.shape != part.vertices.shape:
+            raise SimulationError(
+                f"{part.item.name!r} has {len(vertices)} vertices at frame "
+                f"{self.scene.frame_current} and {len(part.vertices)} at the first frame. A "
+                "collider may deform, but the number of its vertices must stay the same."
+            )
+        matrix = np.array(part.item.evaluated_get(depsgraph).matrix_world, np.float64)
+        if not (np.isfinite(vertices).all() and np.isfinite(matrix).all()):
+            raise SimulationError(
+                f"{part.item.name!r} is not finite (NaN or infinite) at frame "
+                f"{self.scene.frame_current}."
+            )
+        rotation, stretch = rotation_and_stretch(matrix[:3, :3])
+        # Blender's matrices are single precision: without this, a tool that only turns would seem
+        # to change its shape in every frame.
+        if np.allclose(stretch, part.stretch, rtol=0.0, atol=2e-6 * np.abs(stretch).max()):
+            stretch = part.stretch
+        elif np.linalg.det(stretch) * np.linalg.det(part.stretch) <= 0.0:
+            raise SimulationError(
+                f"{part.item.name!r} is scaled flat or turned inside out at frame "
+                f"{self.scene.frame_current}. Keep its scale away from zero."
+            )
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = matrix[:3, 3] * self.scale
+        return vertices @ stretch.T * self.scale, pose
+
+    def _check_followed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Refuse a state that Blender has not brought to the current frame."""
+        if depsgraph.scene.original != self.scene:
+            raise SimulationError(
+                f"Another scene was chosen while {self.scene.name!r} was simulated. Choose that "
+                "one again, then Resume."
+            )
+        followed: list[_FlatCollider | _MovingCollider] = [*self._planes, *self._meshes]
+        for item in (part.item for part in followed):
+            if is_switched_off(item, depsgraph):
+                raise SimulationError(
+                    f"At frame {self.scene.frame_current} {item.name!r} {SWITCHED_OFF}"
+                )
+
+    def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
+        for plane in self._planes:
+            if not is_enabled(plane.item, depsgraph):
+                raise SimulationError(
+                    f"{plane.item.name!r} does not touch the clay at frame "
+                    f"{self.scene.frame_current}, but an endless plane always does. Switch "
+                    "Touches Clay on, or give it thickness (Solidify modifier), so that it is a "
+                    "closed mesh."
+                )
+            vertices, _ = evaluated_mesh(plane.item, depsgraph)
+            matrix = plane.item.evaluated_get(depsgraph).matrix_world
+            away = (transform(matrix, vertices) - plane.point) @ plane.normal
+            # Also where it is not a number.
+            if not float(np.abs(away).max()) <= 1e-3 * self.spacing:
+                raise SimulationError(
+                    f"{plane.item.name!r} moves at frame {self.scene.frame_current}, but an "
+                    "endless plane stands still. Give it thickness (Solidify modifier), so that "
+                    "it is a closed mesh."
+                )
+
+
+def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
+    gives_way = live or context.scene.tactile_clay.hands_give_way
+    hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
+    hands = hand_objects(context.scene)
+    if hands and live:
+        hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)
+    try:
+        return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
+    except HandError as error:
+        raise SimulationError(str(error)) from error
+
+
+def _simulated(
+    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
+) -> list[bpy.types.Object]:
+    """Those that take part: a bake refuses what is switched off, as it may be so by mistake.
+
+    Live, what a tool did in an earlier take is felt no more.
+    """
+    return [
+        item
+        for item in objects
+        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
+    ]
+
+
+def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
+    users: dict[bpy.types.ID, bpy.types.Object] = {}
+    for item in clay:
+        if is_switched_off(item, depsgraph):
+            raise SimulationError(f"{item.name!r} {SWITCHED_OFF}")
+        other = users.setdefault(item.data, item)
+        if other != item:
+            raise SimulationError(
+                f"{item.name!r} is a linked duplicate of {other.name!r}, so both would show the "
+                "same particles. Make it a copy of its own (Object > Relations > Make Single "
+                "User > Object & Data)."
+            )
+
+
+def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
+    spacings = {item.name: item.tactile_clay.spacing for item in clay}
+    first = next(iter(spacings.values()))
+    for name, spacing in spacings.items():
+        if not spacing > 0:
+            raise SimulationError(f"{name!r} has no spacing. Make the clay again.")
+        if abs(spacing - first) > 1e-6 * first:
+            sizes = ", ".join(f"{n!r} {s * scale * 1e3:.3g} mm" for n, s in spacings.items())
+            raise SimulationError(
+                f"All clay of a scene needs the same spacing, but there is {sizes}. Make the odd "
+                "ones again."
+            )
+    return first

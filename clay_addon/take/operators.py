@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake Again and Recover Take as operators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..bake import operators as bake_operators
+from ..core.storage.cache import CacheError
+from ..core.take.files import is_take
+from .film import FilmError, make_film
+from .store import store_take
+
+
+class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
+    """Bake the recorded take with finer clay, in a scene of its own for rendering"""
+
+    bl_idname = "clay.bake_again"
+    bl_label = "Bake Again"
+    # Not REGISTER: doing it over would delete what is being baked.
+    bl_options = {"UNDO"}
+
+    spacing: bpy.props.FloatProperty(
+        name="Spacing",
+        description=(
+            "Distance between the film's particles; half of the live clay's where 0, which shows "
+            "twice the detail and takes about ten times as long"
+        ),
+        subtype="DISTANCE",
+        unit="LENGTH",
+        min=0.0,
+        precision=4,
+        options={"SKIP_SAVE"},
+    )
+    substeps: bpy.props.IntProperty(
+        name="Substeps",
+        description="Solver steps in each sixtieth of a second; 0 takes the solver's own choice",
+        min=0,
+        max=4096,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask how finely."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        return context.window_manager.invoke_props_dialog(self)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Make the film's scene, go there and bake it; in the interface a frame at a time."""
+        if bake_operators.running is not None:
+            self.report({"ERROR"}, "A bake is running already. Press Esc to stop it.")
+            return {"CANCELLED"}
+        window = context.window
+        if window is not None and not bpy.app.background:
+            window.cursor_modal_set("WAIT")
+        try:
+            film = make_film(context, spacing=self.spacing, substeps=self.substeps)
+        except FilmError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        finally:
+            if window is not None and not bpy.app.background:
+                window.cursor_modal_restore()
+        try:
+            if window is None:
+                with context.temp_override(scene=film, view_layer=film.view_layers[0]):
+                    bpy.ops.clay.bake()
+            else:
+                window.scene = film
+                bpy.ops.clay.bake("INVOKE_DEFAULT")
+        except RuntimeError as error:
+            # The scene stays, for Bake to be pressed there when what is wrong has been put right.
+            self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
+        return {"FINISHED"}
+
+
+class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801
+    """Put a take that was cut short, or an earlier one, on the timeline"""
+
+    bl_idname = "clay.take_recover"
+    bl_label = "Recover Take"
+    bl_options = {"REGISTER", "UNDO"}
+
+    directory: bpy.props.StringProperty(
+        name="Folder",
+        description="The take's folder, as clay_cache_take_001",
+        subtype="DIR_PATH",
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the folder."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Read it and key it."""
+        folder = Path(bpy.path.abspath(self.directory))
+        if not is_take(folder):
+            self.report({"ERROR"}, f"There is no take in {folder}. Choose a take's folder.")
+            return {"CANCELLED"}
+        try:
+            stored = store_take(context.scene, folder)
+        except CacheError as error:
+            self.report({"ERROR"}, f"The take cannot be recovered: {error}.")
+            return {"CANCELLED"}
+        for warning in stored.warnings:
+            self.report({"WARNING"}, warning)
+        self.report({"INFO"}, f"Take on frames {stored.first} to {stored.last}")
+        return {"FINISHED"}
+
+
+_CLASSES = (CLAY_OT_bake_again, CLAY_OT_take_recover)
+
+
+def register() -> None:
+    """Register the operators."""
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Unregister the operators."""
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Recording a live session: what hands and tools do, and the clay's frames, as it happens.
+
+The take goes to a folder of its own beside the bake, while it is recorded, by a thread of its own:
+a crash costs the last two seconds. `finish` puts it on the timeline, where it plays as it happened
+and can be baked again, more finely.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake.checks import BakeError, owner_of, resolve_directory
+from ..base.preferences import ADDON_VERSION
+from ..core.storage.cache import Cache, CacheError, Meta
+from ..core.take.data import TakeHeader, ToolShape
+from ..core.take.files import write_header, write_start, write_tool
+from ..core.take.frames import TakeFrames
+from ..core.take.writer import TakeWriter
+from ..model.clay_scene import clay_colors, frames_per_second
+from ..simulate.simulation import Simulation
+from .pose import Moment, followed, pose_now
+from .steps import TakeSteps
+from .store import Stored, store_take
+
+if TYPE_CHECKING:
+    from ..core.tools.settings import ToolMesh
+
+_NUMBER = re.compile(r"(.*)_take_\d{3,}")
+
+
+class TakeError(Exception):
+    """A take cannot be recorded or used; the message says why and what to do."""
+
+
+class Mark(NamedTuple):
+    """A moment of a take to come back to."""
+
+    seconds: float
+    edits: int
+
+
+class TakeRecorder:
+    """Records a live session, from `begin` to `finish`.
+
+    At each step of the session call `look` when the solver has been told where everything is, and
+    `step` when it came to something. All of it is of the main thread, and none of it waits for the
+    disk.
+    """
+
+    def __init__(
+        self, scene: bpy.types.Scene, simulation: Simulation, directory: Path, header: TakeHeader
+    ) -> None:
+        self.directory = directory
+        self.header = header
+        self.seconds = 0.0
+        """Simulated time since the beginning [s]."""
+        self.warnings: list[str] = []
+        """What a person should know of the take."""
+        self._moment: Moment | None = None
+        self._edits = 0
+        self._tool_numbers: dict[bytes, int] = {}
+        self._positions = simulation.positions()
+        self._colors = simulation.colors
+        meta = Meta(
+            start=header.frame_start,
+            end=header.frame_start,
+            frames_per_second=header.frames_per_second,
+            clay=simulation.parts,
+            settings={"take": directory.name},
+            owner=owner_of(scene, Cache(directory)),
+            version=ADDON_VERSION,
+        )
+        cache = Cache(directory)
+        cache.begin(meta, self._colors)
+        self._writer = TakeWriter()
+        self._frames = TakeFrames(self._writer, cache, meta)
+        self._steps = TakeSteps(directory, self._writer, followed(scene))
+
+    @classmethod
+    def begin(
+        cls, scene: bpy.types.Scene, simulation: Simulation, *, directory: Path | None = None
+    ) -> TakeRecorder:
+        """Begin to record, where everything is now.
+
+        Args:
+            scene: The session's.
+            simulation: The session's; its solver is built, and does nothing at the moment.
+            directory: An empty folder; a new one beside the scene's cache where not given.
+
+        Raises:
+            TakeError: The folder cannot be made or written to, or the .blend was never saved.
+        """
+        try:
+            folder = directory or free_directory(scene)
+            first = 0
+            start = {}
+            positions = simulation.positions()
+            for part in simulation.parts:
+                rows = slice(first, first + part.count)
+                start[part.name] = (positions[rows], simulation.colors[rows])
+                first += part.count
+            header = TakeHeader(
+                frame_start=scene.frame_start,
+                frames_per_second=frames_per_second(scene),
+                unit_scale=scene.unit_settings.scale_length,
+                clay=tuple((p.name, p.count, float(simulation.spacing)) for p in simulation.parts),
+            )
+            folder.mkdir(parents=True, exist_ok=True)
+            recorder = cls(scene, simulation, folder, header)
+            write_start(folder, start)
+            write_header(folder, header)
+        except OSError as error:
+            raise TakeError(f"{folder} cannot be made ({error.strerror or error}).") from error
+        except (BakeError, CacheError) as error:
+            raise TakeError(str(error)) from error
+        recorder.look(bpy.context.evaluated_depsgraph_get())
+        recorder._take_row()
+        recorder._frames.first(recorder._positions)
+        return recorder
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can be written at the moment; it is tried again. Empty where all is well."""
+        return self._writer.problem
+
+    # While it is recorded -----------------------------------------------------------------------
+
+    def use_tools(self, meshes: Sequence[ToolMesh]) -> None:
+        """Say what is in the mouse from now on."""
+        numbers = []
+        for mesh in meshes:
+            tool = ToolShape(
+                np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32), mesh.friction
+            )
+            key = tool.vertices.tobytes() + tool.faces.tobytes() + repr(tool.friction).encode()
+            if key not in self._tool_numbers:
+                number = self._tool_numbers[key] = len(self._tool_numbers)
+                self._write(partial(write_tool, self.directory, number, tool))
+            numbers.append(self._tool_numbers[key])
+        if tuple(numbers) != self._steps.layout.tools:
+            self._steps.follow(replace(self._steps.layout, tools=tuple(numbers)))
+            self._moment = None
+
+    def look(
+        self,
+        depsgraph: bpy.types.Depsgraph,
+        tools: Sequence[tuple[NDArray[np.floating], bool]] = (),
+    ) -> None:
+        """Note what the next step does: call it where the solver is told, from the same state.
+
+        Args:
+            depsgraph: The evaluated scene that the solver was fed from.
+            tools: World from own coordinates [m], shape [4, 4], of each mesh of `use_tools`, and
+                whether the clay feels it.
+        """
+        try:
+            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
+        except (LookupError, ReferenceError):
+            # Colliders or hands came or went.
+            self._steps.follow(followed(depsgraph.scene.original, self._steps.layout.tools))
+            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
+
+    def step(
+        self,
+        duration: float,
+        positions: NDArray[np.floating],
+        colors: NDArray[np.floating] | None = None,
+    ) -> None:
+        """Take up what a step came to.
+
+        Args:
+            duration: Simulated time [s].
+            positions: World positions of all particles [Blender units], shape [N, 3].
+            colors: Linear RGBA, shape [N, 4]; as before where not given.
+        """
+        if not duration > 0.0:
+            return
+        if self._moment is None:
+            idle = [(np.eye(4), False)] * len(self._steps.layout.tools)
+            self.look(bpy.context.evaluated_depsgraph_get(), idle)
+        before, self._positions = self._positions, np.array(positions, np.float32)
+        self._colors = self._colors if colors is None else np.array(colors, np.float32)
+        began = self.seconds
+        self.seconds = began + duration
+        self._take_row()
+        self._frames.step(began, duration, before, self._positions)
+
+    def edit(self, kind: str, parameters: Mapping[str, Any]) -> None:
+        """Note a change to the particles themselves; `rebuilt` comes next.
+
+        Args:
+            kind: What was done, as the registry of edits calls it.
+            parameters: How, whatever the spacing: numbers, texts, lists and arrays of them. Lengths
+                in metres, world space.
+        """
+        self._edits += 1
+        self._steps.event(
+            {
+                "event": "edit",
+                "time": self.seconds,
+                "kind": kind,
+                "parameters": json.loads(json.dumps(dict(parameters), default=_listed)),
+            }
+        )
+
+    def rebuilt(self, simulation: Simulation) -> None:
+        """Take up that the solver was built anew, as after an edit.
+
+        Raises:
+            TakeError: It is of other clay objects; the take is good up to here.
+        """
+        names = [name for name, _, _ in self.header.clay]
+        if [part.name for part in simulation.parts] != names:
+            raise TakeError(
+                "A clay object was added, renamed or deleted. A take is of the same clay objects "
+                "from its beginning to its end, so it ends here."
+            )
+        self._colors = simulation.colors
+        self._place(np.concatenate(simulation.rest).astype(np.float32), simulation)
+
+    def mark(self) -> Mark:
+        """This moment, for `rewind`: keep it with an undo step."""
+        return Mark(self.seconds, self._edits)
+
+    def rewind(self, mark: Mark, simulation: Simulation) -> None:
+        """Go back to an earlier moment, as Undo does: what came later is not in the take.
+
+        Args:
+            mark: What `mark` gave.
+            simulation: As it is after Undo.
+        """
+        self._edits = mark.edits
+        self._steps.event({"event": "rewind", "time": mark.seconds, "edits": mark.edits})
+        self.seconds = mark.seconds
+        self._frames.rewind(mark.seconds)
+        self.rebuilt(simulation)
+
+    def _place(self, positions: NDArray[np.float32], simulation: Simulation) -> None:
+        if len(positions) != len(self._positions):
+            self._frames.replace(self._positions, positions, simulation.parts)
+        self._positions = positions
+
+    def _take_row(self) -> None:
+        assert self._moment is not None
+        if self._steps.add(self._moment, self.seconds):
+            self._frames.tell_end()
+        self._moment = None
+
+    def _write(self, task: Callable[[], None]) -> None:
+        # Before the frames that wait: those can be made anew.
+        self._writer.do(task, first=True)
+
+    # The end ------------------------------------------------------------------------------------
+
+    def leave(self) -> None:
+        """End the take on the disk alone, where its scene is gone; Recover Take finds it there."""
+        self._steps.flush()
+        self._frames.last(self.seconds, self._positions)
+        with suppress(CacheError):
+            self._writer.close()
+
+    def finish(self, scene: bpy.types.Scene) -> Stored:
+        """End the take and put it on the timeline.
+
+        Hands and tools get keyframes, the frame range becomes that of the take, the clay it began
+        with stays in the .blend, and the timeline plays the clay as it went. The current frame is
+        the last, where the clay is as it was left.
+
+        Args:
+            scene: The session's, when the session has ended and kept its clay.
+
+        Raises:
+            TakeError: Nothing was recorded.
+        """
+        self._steps.flush()
+        self._frames.last(self.seconds, self._positions)
+        header = replace(self.header, seconds=self.seconds)
+        colors = self._colors_shown(scene)
+        self._write(lambda: write_header(self.directory, header))
+        self._write(lambda: Cache(self.directory).write_colors(colors))
+        try:
+            self._writer.close()
+        except CacheError as error:
+            self.warnings.append(
+                f"{error} Hands and tools are on the timeline all the same; Bake Again makes the "
+                "clay's frames anew."
+            )
+        if self.seconds == 0.0:
+            raise TakeError("Nothing was recorded: the clay never moved on.")
+        stored = store_take(scene, self.directory, unwritten=self._steps.unwritten)
+        return stored._replace(warnings=(*self.warnings, *stored.warnings))
+
+    def _colors_shown(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
+        """Colours of all particles as they were painted last, shape [N, 4]."""
+        items = [scene.objects.get(name) for name, _, _ in self.header.clay]
+        parts = [clay_colors(item) for item in items if item is not None]
+        colors = np.concatenate([np.zeros((0, 4), np.float32), *parts])
+        return colors if len(colors) == len(self._colors) else self._colors
+
+
+def free_directory(scene: bpy.types.Scene) -> Path:
+    """A folder for a new take, beside the scene's cache.
+
+    Raises:
+        BakeError: The scene has no cache folder, or the .blend was never saved.
+    """
+    cache = resolve_directory(scene)
+    match = _NUMBER.fullmatch(cache.name)
+    base = match[1] if match else cache.name
+    number = 1
+    while (path := cache.parent / f"{base}_take_{number:03d}").exists():
+        number += 1
+    return path
+
+
+def _listed(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Sequence):
+        return list(value)
+    raise TypeError(f"An edit's parameter is {value!r}, which cannot be kept in a file.")

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The focal points that a bake recorded, as keyed empties: what was felt can be seen and rendered.
+
+Each empty follows one focal point from frame to frame. Its scale is the pressure over the largest
+of the bake, and it is hidden where there is no such point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.keyed_channels import CONSTANT, LINEAR, Channel, write_channels
+from ..core.storage.cache import Cache, CacheError
+from ..core.storage.foci import FociFrame, read_foci
+from ..playback.playback import cache_of
+
+COLLECTION_NAME = "Clay Focal Points"
+PRESSURE_PROPERTY = "pressure"
+"""Custom property of an empty: the pressure amplitude [Pa]."""
+_MARK = "tactile_clay_foci"
+
+
+class FociError(ValueError):
+    """Focal points cannot be made into empties; the message says why and what to do."""
+
+
+class FociTracks(NamedTuple):
+    """Focal points sorted into tracks, each one point that moves."""
+
+    frames: NDArray[np.int64]
+    """Frame numbers, shape [F]."""
+    positions: NDArray[np.float32]
+    """In the world [Blender units], shape [F, K, 3]; where absent, the nearest that is known."""
+    pressures: NDArray[np.float32]
+    """Pressure amplitudes [Pa], 0 where absent, shape [F, K]."""
+
+
+def follow_foci(frames: Mapping[int, FociFrame], *, reach: float) -> FociTracks:
+    """Sort focal points into tracks: from one frame to the next, the nearest pairs belong together.
+
+    Args:
+        frames: What was recorded, by frame number.
+        reach: Farthest that a point moves between two frames [Blender units]; one that appears
+            farther from all others starts a track of its own or takes up an idle one.
+
+    Returns:
+        As few tracks as the frame with most focal points needs, or a few more where points jump.
+    """
+    numbers = np.array(sorted(frames), np.int64)
+    places: list[dict[int, NDArray[np.float32]]] = []
+    loads: list[dict[int, float]] = []
+    current: dict[int, NDArray[np.float32]] = {}
+    for number in numbers.tolist():
+        frame = frames[number]
+        given = {k: frame.positions[k] for k in np.flatnonzero(frame.pressures > 0).tolist()}
+        pairs = sorted(
+            (float(np.linalg.norm(place - before)), point, track)
+            for point, place in given.items()
+            for track, before in current.items()
+        )
+        track_of: dict[int, int] = {}
+        for distance, point, track in pairs:
+            if distance <= reach and point not in track_of and track not in track_of.values():
+                track_of[point] = track
+        current = {}
+        for point, place in given.items():
+            if point not in track_of:
+                idle = (t for t in range(len(places) + 1) if t not in track_of.values())
+                track_of[point] = next(idle)
+                if track_of[point] == len(places):
+                    places.append({})
+                    loads.append({})
+            track = track_of[point]
+            places[track][number] = current[track] = place
+            loads[track][number] = float(frame.pressures[point])
+    positions = np.zeros((len(numbers), len(places), 3), np.float32)
+    pressures = np.zeros((len(numbers), len(places)), np.float32)
+    for track, known in enumerate(places):
+        at = np.array(sorted(known))
+        nearest = at[np.abs(at[None, :] - numbers[:, None]).argmin(axis=1)]
+        positions[:, track] = [known[number] for number in nearest.tolist()]
+        pressures[:, track] = [loads[track].get(number, 0.0) for number in numbers.tolist()]
+    return FociTracks(numbers, positions, pressures)
+
+
+def make_empties(scene: bpy.types.Scene, cache: Cache | None = None) -> list[bpy.types.Object]:
+    """Make keyed empties of the focal points that a bake recorded.
+
+    Empties made before are replaced. They stand in a collection of their own and need no add-on.
+
+    Args:
+        scene: Where they go.
+        cache: The bake; the scene's where not given.
+
+    Returns:
+        The empties.
+
+    Raises:
+        FociError: if there is no bake, or nothing was felt in it.
+        CacheError: if the cache cannot be read.
+    """
+    cache = cache or cache_of(scene)
+    if cache is None or not cache.exists():
+        raise FociError("There is no bake. Bake with an array in the scene first.")
+    meta = cache.meta()
+    recorded = cache.foci_frames()
+    frames = {number: read_foci(cache.directory, number, meta) for number in recorded}
+    if not any((frame.pressures > 0).any() for frame in frames.values()):
+        raise FociError(
+            "The bake recorded no focal points. Add an array in the Touch panel, let a hand press "
+            "the clay, and bake again."
+        )
+    # Nothing is felt where nothing was recorded, nor before and after.
+    for number in range(recorded[0] - 1, recorded[-1] + 2):
+        frames.setdefault(number, _nothing(number))
+    sigma = max(frame.sigma for frame in frames.values()) / scene.unit_settings.scale_length
+    # A sigma is a wavelength, 8.6 mm at 40 kHz: ten of them a frame are a hand at 2 m/s.
+    tracks = follow_foci(frames, reach=10 * sigma)
+    collection = _emptied_collection(scene)
+    return [
+        _make_empty(collection, index, tracks, sigma) for index in range(tracks.pressures.shape[1])
+    ]
+
+
+def _nothing(number: int) -> FociFrame:
+    return FociFrame(number, np.zeros((0, 3), np.float32), np.zeros(0, np.float32), 0.0)
+
+
+def _make_empty(
+    collection: bpy.types.Collection, index: int, tracks: FociTracks, sigma: float
+) -> bpy.types.Object:
+    empty = bpy.data.objects.new(f"Focal Point {index + 1}", None)
+    empty.empty_display_type = "SPHERE"
+    empty.empty_display_size = sigma
+    empty[PRESSURE_PROPERTY] = 0.0
+    collection.objects.link(empty)
+    pressures = tracks.pressures[:, index]
+    absent = pressures <= 0
+    scale = np.where(absent, 0.0, pressures / tracks.pressures.max())
+    channels = [
+        Channel(path, number, tracks.frames, values, kind)
+        for path, number, values, kind in (
+            *(("location", axis, tracks.positions[:, index, axis], LINEAR) for axis in range(3)),
+            *(("scale", axis, scale, LINEAR) for axis in range(3)),
+            (f'["{PRESSURE_PROPERTY}"]', 0, pressures, LINEAR),
+            ("hide_viewport", 0, absent, CONSTANT),
+            ("hide_render", 0, absent, CONSTANT),
+        )
+    ]
+    write_channels(empty, empty.name, channels)
+    return empty
+
+
+def _emptied_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    for child in scene.collection.children:
+        if child.get(_MARK):
+            for item in list(child.objects):
+                bpy.data.objects.remove(item)
+            return child
+    collection = bpy.data.collections.new(COLLECTION_NAME)
+    collection[_MARK] = True
+    scene.collection.children.link(collection)
+    return collection
+
+
+class CLAY_OT_foci_empties(bpy.types.Operator):  # noqa: N801
+    """Make keyed empties of the focal points that the bake recorded"""
+
+    bl_idname = "clay.foci_empties"
+    bl_label = "Focal Points to Empties"
+    bl_options = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Make them, or report why not."""
+        try:
+            empties = make_empties(context.scene)
+        except (FociError, CacheError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{len(empties)} focal points keyed")
+        return {"FINISHED"}
+
+
+def register() -> None:
+    """Register the operator."""
+    bpy.utils.register_class(CLAY_OT_foci_empties)
+
+
+def unregister() -> None:
+    """Unregister the operator."""
+    bpy.utils.unregister_class(CLAY_OT_foci_empties)

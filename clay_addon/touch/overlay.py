@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Focal points, and the pressure that they give on the skin, drawn over the 3D view."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from . import touch
+
+if TYPE_CHECKING:
+    from ...haptics.foci.pipeline import TouchFrame
+
+_SEGMENTS = 32
+_SKIN_SIZE = 6.0
+"""Size of a point of the skin [pixels]."""
+_FAINT = 0.03
+"""Skin with less of the greatest pressure is not drawn."""
+
+_handle: Any = None
+
+
+def focus_rings(
+    frame: TouchFrame, normal: NDArray[np.float64]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """A ring of the size of each focal point, across the sound's direction.
+
+    Args:
+        frame: The focal points.
+        normal: Where the sound goes, shape [3].
+
+    Returns:
+        Ends of lines in metres, shape [K, 2 S, 3], and the middle and rim of triangles, shape
+        [K, 3 S, 3].
+    """
+    seed = np.eye(3)[np.argmin(np.abs(normal))]
+    right = np.cross(seed, normal)
+    right /= np.linalg.norm(right)
+    up = np.cross(normal, right)
+    turn = 2.0 * np.pi * np.arange(_SEGMENTS + 1) / _SEGMENTS
+    rim = frame.sigma * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
+    points = frame.positions[:, None] + rim
+    lines = np.stack((points[:, :-1], points[:, 1:]), axis=2)
+    middles = np.broadcast_to(frame.positions[:, None], points[:, 1:].shape)
+    triangles = np.stack((middles, points[:, :-1], points[:, 1:]), axis=2)
+    count = len(frame.positions)
+    return (
+        lines.reshape(count, -1, 3).astype(np.float32),
+        triangles.reshape(count, -1, 3).astype(np.float32),
+    )
+
+
+def draw_frame(
+    frame: TouchFrame, normal: NDArray[np.float64], *, scale: float, ceiling: float
+) -> None:
+    """Draw a frame with the matrices that the GPU module has at the moment.
+
+    Args:
+        frame: What is felt.
+        normal: Where the sound goes, shape [3].
+        scale: Metres in a Blender unit.
+        ceiling: Pressure of the brightest colour [Pa].
+    """
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+
+    from ...haptics.acoustics.field_picture import pressure_colors
+
+    gpu.state.blend_set("ALPHA")
+    gpu.state.depth_test_set("LESS_EQUAL")
+    if frame.skin is not None and frame.reconstructed is not None:
+        seen = frame.reconstructed > _FAINT * ceiling
+        if seen.any():
+            shader = gpu.shader.from_builtin("POINT_FLAT_COLOR")
+            colors = pressure_colors(frame.reconstructed[seen], ceiling)
+            # Weak pressure fades away instead of blackening the hand.
+            colors[:, 3] = np.minimum(1.5 * frame.reconstructed[seen] / ceiling, 0.9)
+            points = (frame.skin[seen] / scale).astype(np.float32)
+            gpu.state.point_size_set(_SKIN_SIZE)
+            batch_for_shader(shader, "POINTS", {"pos": points, "color": colors}).draw(shader)
+    if len(frame.positions):
+        shader = gpu.shader.from_builtin("FLAT_COLOR")
+        lines, triangles = focus_rings(frame, normal)
+        colors = pressure_colors(frame.pressures, ceiling)
+        # Over the hand, which they lie in.
+        gpu.state.depth_test_set("NONE")
+        gpu.state.line_width_set(2.0)
+        for kind, places, alpha, white in (
+            ("TRIS", triangles, 0.6, 0.0),
+            ("LINES", lines, 1.0, 0.6),
+        ):
+            painted = white + (1.0 - white) * colors
+            painted[:, 3] = alpha
+            batch_for_shader(
+                shader,
+                kind,
+                {
+                    "pos": (places / np.float32(scale)).reshape(-1, 3),
+                    "color": np.repeat(painted, places.shape[1], axis=0),
+                },
+            ).draw(shader)
+    gpu.state.line_width_set(1.0)
+    gpu.state.point_size_set(1.0)
+    gpu.state.depth_test_set("NONE")
+    gpu.state.blend_set("NONE")
+
+
+def _draw() -> None:
+    scene = bpy.context.scene
+    frame = touch.shown
+    if frame is None or scene is None or not scene.tactile_touch.show_overlay:
+        return
+    item = scene.tactile_touch.array
+    matrix = np.eye(4) if item is None else np.array(item.matrix_world, np.float64)
+    normal = matrix[:3, 2] / max(float(np.linalg.norm(matrix[:3, 2])), 1e-12)
+    draw_frame(
+        frame,
+        normal,
+        scale=scene.unit_settings.scale_length,
+        ceiling=scene.tactile_touch.ceiling,
+    )
+
+
+def register() -> None:
+    """Draw over every 3D view; in the background there is none."""
+    global _handle
+    if _handle is None and not bpy.app.background:
+        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+
+
+def unregister() -> None:
+    """Draw no more."""
+    global _handle
+    if _handle is not None:
+        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
+        _handle = None

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Potter's wheels: colliders that spin about their own Z, as fast as their speed says.
+
+A wheel is turned by an *axle*: an object in no scene that turns about Z, and that a constraint of
+the wheel copies its turning from. On the timeline the axle is keyed in each frame, at the integral
+of the speed, so that a wheel plays, renders and bakes as any animated object does, also where this
+extension is not there; all the rest of the wheel's transform stays free to be set or animated. In
+a live session there is no timeline, and `wheel_live` turns the axle by the clock.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from numpy.typing import NDArray
+
+from ..model.properties import frame_range
+from .speed import is_driven, speed_curve, turns, turns_between
+
+CONSTRAINT_NAME = "Clay Wheel"
+_STAMP = "tactile_clay_wheel"
+"""Key of what an axle's curve was made from."""
+_LINEAR = 1
+_MOST_TURN = math.radians(170.0)
+"""Beyond half a turn a frame nobody could tell which way a wheel goes [rad]."""
+
+live_scenes: set[int] = set()
+"""Scenes whose wheels `wheel_live.LiveWheels` turns, by ``session_uid``."""
+
+
+class WheelError(Exception):
+    """A wheel cannot turn as it should; the message says why and what to do."""
+
+
+def is_wheel(item: bpy.types.Object) -> bool:
+    """Whether an object is a collider that spins, or may."""
+    properties = item.tactile_clay
+    return properties.role == "COLLIDER" and bool(
+        properties.wheel_speed or speed_curve(item) is not None or is_driven(item)
+    )
+
+
+def wheel_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The wheels of a scene, by name."""
+    return sorted((i for i in scene.objects if is_wheel(i)), key=lambda item: item.name)
+
+
+def axle_angle(item: bpy.types.Object) -> float:
+    """How far a wheel is turned now [rad]."""
+    axle = item.tactile_clay.wheel_axle
+    return axle.rotation_euler[2] if axle is not None else 0.0
+
+
+# On the timeline -------------------------------------------------------------------------------
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Key the axles of a scene's wheels anew where speeds, frames or phases have changed.
+
+    Driven wheels keep what `sample` found.
+    """
+    if scene.session_uid in live_scenes:
+        return
+    taken: set[bpy.types.Object] = set()
+    start, low, high = _frames(scene)
+    duration = scene.render.fps_base / scene.render.fps
+    for item in list(scene.objects):
+        if item.tactile_clay.wheel_axle is None and not is_wheel(item):
+            continue
+        if not is_wheel(item):
+            _take_off(item)
+        elif not is_driven(item):
+            axle = ensure_axle(item, taken)
+            # As a live session has left it in a file that was saved meanwhile.
+            curve = angle_curve(axle)
+            if curve is not None and curve.mute:
+                curve.mute = False
+            stamp = _stamp(item, start, low, high, duration)
+            if axle.get(_STAMP) != stamp:
+                _write(item, axle, turns(item, low, high, duration), start, low)
+                axle[_STAMP] = stamp
+
+
+def sample(scene: bpy.types.Scene) -> None:
+    """Do as `refresh`, and play the scene once to learn how fast driven wheels turn.
+
+    The scene's current frame is the same afterwards.
+    """
+    refresh(scene)
+    driven = [item for item in wheel_objects(scene) if is_driven(item)]
+    if not driven or scene.session_uid in live_scenes:
+        return
+    start, low, high = _frames(scene)
+    previous = scene.frame_current, scene.frame_subframe
+    speeds = np.empty((len(driven), high + 1 - low))
+    for number in range(low, high + 1):
+        scene.frame_set(number)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        for row, item in zip(speeds, driven, strict=True):
+            row[number - low] = item.evaluated_get(depsgraph).tactile_clay.wheel_speed
+    taken = {item.tactile_clay.wheel_axle for item in wheel_objects(scene) if item not in driven}
+    duration = scene.render.fps_base / scene.render.fps
+    for row, item in zip(speeds, driven, strict=True):
+        axle = ensure_axle(item, taken)
+        _write(item, axle, turns_between(row, duration), start, low)
+        axle[_STAMP] = "sampled"
+    scene.frame_set(previous[0], subframe=previous[1])
+
+
+def check_speeds(scene: bpy.types.Scene) -> None:
+    """Refuse a wheel that turns so far in a frame that a bake could not follow it.
+
+    Raises:
+        WheelError: It does; the message names it and says what to do.
+    """
+    start, end = frame_range(scene)
+    for item in wheel_objects(scene):
+        curve = angle_curve(item.tactile_clay.wheel_axle)
+        if curve is None or end <= start:
+            continue
+        angles = np.array([curve.evaluate(frame) for frame in range(start, end + 1)])
+        steps = np.abs(np.diff(angles))
+        if steps.max() > _MOST_TURN:
+            worst = int(steps.argmax())
+            raise WheelError(
+                f"{item.name!r} turns by {math.degrees(steps[worst]):.0f} degrees from frame "
+                f"{start + worst} to the next, and half a turn is too much to follow. Lower its "
+                "wheel speed, or raise the frame rate."
+            )
+
+
+def _frames(scene: bpy.types.Scene) -> tuple[int, int, int]:
+    """The frame of a wheel's phase, and the first and the last one to key."""
+    start, end = frame_range(scene)
+    low = min(start, scene.frame_start)
+    return start, low, max(end, scene.frame_end, low + 1)
+
+
+def _stamp(item: bpy.types.Object, start: int, low: int, high: int, duration: float) -> str:
+    """What decides the angles, in short."""
+    properties = item.tactile_clay
+    curve = speed_curve(item)
+    parts: list[object] = [start, low, high, duration, properties.wheel_phase]
+    if curve is None:
+        parts.append(properties.wheel_speed)
+    elif len(curve.modifiers):
+        parts += [curve.evaluate(frame) for frame in range(low, high + 1)]
+    else:
+        points = curve.keyframe_points
+        parts.append(curve.extrapolation)
+        for name, width in (("co", 2), ("handle_left", 2), ("handle_right", 2)):
+            values = np.empty(width * len(points), np.float32)
+            points.foreach_get(name, values)
+            parts.append(values.tobytes())
+        parts += [(p.interpolation, p.easing, p.back, p.amplitude, p.period) for p in points]
+    return hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest()
+
+
+def _write(
+    item: bpy.types.Object,
+    axle: bpy.types.Object,
+    steps: NDArray[np.float64],
+    start: int,
+    low: int,
+) -> None:
+    """Key an axle in each frame.
+
+    Args:
+        item: Its wheel.
+        axle: The axle.
+        steps: The angle it turns by from frame to frame [rad].
+        start: The frame at which it has the wheel's phase.
+        low: First frame to key.
+    """
+    angles = np.concatenate([[0.0], np.cumsum(steps)])
+    angles += item.tactile_clay.wheel_phase - angles[start - low]
+    curve = angle_curve(axle)
+    if curve is None:
+        axle.animation_data_clear()
+        axle.keyframe_insert("rotation_euler", index=2, frame=low)
+        curve = angle_curve(axle)
+        assert curve is not None
+    points = curve.keyframe_points
+    if len(points) > len(angles):
+        points.clear()
+    points.add(len(angles) - len(points))
+    frames = np.arange(low, low + len(angles))
+    points.foreach_set("co", np.column_stack([frames, angles]).astype(np.float32).ravel())
+    points.foreach_set("interpolation", np.full(len(angles), _LINEAR, np.int32))
+    curve.extrapolation = "LINEAR"
+    curve.mute = False
+    curve.update()
+    axle.animation_data.action.update_tag()
+    axle.update_tag()
+
+
+# Axles -----------------------------------------------------------------------------------------
+
+
+def ensure_axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.types.Object:
+    """The axle of a wheel, made where there is none.
+
+    Args:
+        item: The wheel.
+        taken: Axles of other wheels; this one's is added. The copy of a wheel comes with the axle
+            of the first one, and must get its own.
+    """
+    properties = item.tactile_clay
+    axle = properties.wheel_axle
+    if axle is None or axle in taken:
+        axle = bpy.data.objects.new(f"{item.name} axle", None)
+        properties.wheel_axle = axle
+    taken.add(axle)
+    constraint = item.constraints.get(CONSTRAINT_NAME)
+    if constraint is None or constraint.type != "COPY_ROTATION":
+        constraint = item.constraints.new("COPY_ROTATION")
+        constraint.name = CONSTRAINT_NAME
+        # The axle's turning comes first, and then all that the wheel itself does.
+        constraint.mix_mode = "AFTER"
+        constraint.owner_space = constraint.target_space = "WORLD"
+    if constraint.target != axle:
+        constraint.target = axle
+    return axle
+
+
+def _take_off(item: bpy.types.Object) -> None:
+    """Make an object that no longer spins as it was."""
+    axle = item.tactile_clay.wheel_axle
+    item.tactile_clay.wheel_axle = None
+    constraint = item.constraints.get(CONSTRAINT_NAME)
+    if constraint is not None:
+        item.constraints.remove(constraint)
+    if axle.users == 0:
+        action = axle.animation_data.action if axle.animation_data else None
+        bpy.data.objects.remove(axle)
+        if action is not None and action.users == 0:
+            bpy.data.actions.remove(action)
+
+
+def angle_curve(axle: bpy.types.Object | None) -> bpy.types.FCurve | None:
+    """The curve of an axle's angle, where it is keyed."""
+    animation = axle.animation_data if axle is not None else None
+    if animation is None or animation.action is None or animation.action_slot is None:
+        return None
+    for layer in animation.action.layers:
+        for strip in layer.strips:
+            bag = strip.channelbag(animation.action_slot)
+            if bag is not None:
+                return bag.fcurves.find("rotation_euler", index=2)
+    return None
+
+
+# Handlers --------------------------------------------------------------------------------------
+
+
+@persistent
+def _on_change(scene: bpy.types.Scene | None, *_: object) -> None:
+    scenes: Sequence[bpy.types.Scene] = [scene] if scene else list(bpy.data.scenes)
+    for each in scenes:
+        refresh(each)
+
+
+@persistent
+def _on_save(*_: object) -> None:
+    for scene in bpy.data.scenes:
+        refresh(scene)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    live_scenes.clear()
+
+
+_HANDLERS = (("frame_change_pre", _on_change), ("save_pre", _on_save), ("load_pre", _on_load))
+
+
+def register() -> None:
+    """Add the handlers, each once."""
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler not in handlers:
+            handlers.append(handler)
+
+
+def unregister() -> None:
+    """Remove the handlers."""
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)
+    live_scenes.clear()

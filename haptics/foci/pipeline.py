@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From the contact forces of a frame to its focal points, with what the next frame goes on from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..acoustics.transducer_array import TransducerArray
+from ..skin.pressure_field import PressureField
+from .focal_points import focus, reconstruct
+
+
+@dataclass(frozen=True, eq=False)
+class TouchFrame:
+    """What is to be felt in one frame, in world coordinates."""
+
+    positions: NDArray[np.float64]
+    """Focal points [m], shape [K, 3]."""
+    pressures: NDArray[np.float64]
+    """Pressure amplitude at each [Pa], shape [K]."""
+    sigma: float = 0.0
+    """Size of a focal point: the standard deviation of its Gaussian [m]."""
+    skin: NDArray[np.float64] | None = None
+    """Points of the skin that face the array [m], shape [F, 3]; None where it is not known."""
+    wanted: NDArray[np.float64] | None = None
+    """Pressure wanted at each [Pa], shape [F]."""
+    reconstructed: NDArray[np.float64] | None = None
+    """Pressure that the focal points give at each [Pa], shape [F]."""
+
+
+class TouchPipeline:
+    """Pressure field, then focal points, each from frame to frame.
+
+    Example:
+        >>> pipeline = TouchPipeline()
+        >>> frame = pipeline.step([solver.contacts(hand)], array, dt=1 / 60)
+        >>> client.send(frame)
+    """
+
+    def __init__(self) -> None:
+        self._fields: list[Any] = []
+        self._foci: Any = None
+
+    def step(
+        self,
+        contacts: Sequence[Any],
+        array: TransducerArray,
+        *,
+        weights: Sequence[ArrayLike | None] = (),
+        dt: float | None = None,
+        gain: float = 0.04,
+        ceiling: float = 1000.0,
+        count: int = 8,
+    ) -> TouchFrame:
+        """Find the focal points of a frame.
+
+        Args:
+            contacts: What the solver tells of each hand: ghosts' positions [m], normals, areas [m²]
+                and forces [N], see `PressureField.from_contacts`.
+            array: The array, placed in the world.
+            weights: Perceptual weights of each hand's ghosts; 1 where not given.
+            dt: Time since the frame before [s]; None for a frame that goes on from nothing.
+            gain: Focal over contact pressure for light contact.
+            ceiling: Greatest focal pressure [Pa].
+            count: Most focal points.
+
+        Raises:
+            ValueError: Shapes do not fit, or an option is out of its range.
+        """
+        fields = []
+        for index, contact in enumerate(contacts):
+            last = self._fields[index] if dt is not None and index < len(self._fields) else None
+            if last is not None and len(last.state) != len(contact.areas):
+                # A hand that was bound anew has other ghosts.
+                last = None
+            fields.append(
+                PressureField.from_contacts(
+                    contact,
+                    array.position,
+                    weights=weights[index] if index < len(weights) else None,
+                    previous=last,
+                    dt=dt if last is not None else None,
+                    gain=gain,
+                    ceiling=ceiling,
+                )
+            )
+        self._fields = fields
+        field = PressureField.joined(fields)
+        self._foci = focus(
+            field.positions,
+            field.pressures,
+            field.weights,
+            count=count,
+            sigma=array.wavelength,
+            previous=self._foci if dt is not None else None,
+            ceiling=ceiling,
+        )
+        return TouchFrame(
+            self._foci.positions,
+            self._foci.pressures,
+            self._foci.sigma,
+            field.positions,
+            field.pressures,
+            reconstruct(self._foci, field.positions),
+        )

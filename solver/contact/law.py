@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Contact and Coulomb friction between clay particles and planes or moving closed meshes.
+
+A particle is a ball of half the spacing. Contacts are found once a substep and then stay what
+they are, a plane each; how hard they push is part of the implicit solve. Friction holds a contact
+by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
+2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
+a collider is moved out no faster than `DEPENETRATION_SPEED`.
+
+A collider may be sticky, as a wheel head is to wet clay: what has touched it stays in contact
+until it is off by `MARGIN`, and is pulled back by as much as the adhesion bears. Friction grows
+with that as it does with a load (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53,
+1975).
+
+A soft surface, that of a hand, gives way to what presses it, but later and by a solve of its own.
+A contact with it is a spring in a row with the clay's: its far end is where the surface would be
+without the contact's force, which is the surface of now and what it has given way so far.
+"""
+
+import warp as wp
+
+from ..core.awake import Awake, awake_particle
+
+DEPENETRATION_SPEED = 0.5
+"""Speed at which something that lies inside a collider is moved out [m/s]."""
+MOST_CONTACTS = 4
+"""Contacts that a particle can have at once."""
+MARGIN = 0.25
+"""Contacts are found this far off the surface, in spacings: a substep may close the gap."""
+CONTACT_STIFFNESS = 2.0
+"""Stiffness of a contact over that of the clay around the particle."""
+SOFT_DEPTH = 1.0
+"""From this depth on soft surfaces push as if they were rigid, in radii of a particle."""
+STICKING = 1.0e-3
+"""A contact that sticks counts as loaded by at least this part of its adhesion."""
+UNKNOWN_SLIDE = 1.0e9
+"""The slip [m] that a new contact may assume."""
+
+
+@wp.struct
+class ContactPass:
+    """What all contacts share, for one substep."""
+
+    time_step: float
+    time_step_before: float
+    radius: float
+    """Radius of a particle [m]."""
+    margin: float
+    """How far off contacts are found [m]."""
+    yielding: wp.vec2
+    """How far flesh and joints give way in this substep, of what forces ask for."""
+
+
+@wp.struct
+class ContactSlots:
+    """Contacts of all particles, `MOST_CONTACTS` for each."""
+
+    count: wp.array[int]
+    collider: wp.array2d[int]
+    normal: wp.array2d[wp.vec3]
+    gap: wp.array2d[float]
+    """Distance between ball and surface at the start of the substep [m]."""
+    surface_motion: wp.array2d[wp.vec3]
+    """What the surface moves in this substep [m]."""
+    anchor: wp.array2d[wp.vec3]
+    """Stretch of the friction spring [m]."""
+    impulse: wp.array2d[wp.vec3]
+    """Impulse on the particle at the velocities last looked at [N s]."""
+    normal_stiffness: wp.array2d[float]
+    """[kg]: force derivative times Δt²."""
+    friction_stiffness: wp.array2d[float]
+    """[kg]; less than the normal one where the contact slides."""
+    stick_stiffness: wp.array2d[float]
+    """The friction stiffness of a contact that does not slide [kg]."""
+    count_before: wp.array[int]
+    collider_before: wp.array2d[int]
+    anchor_before: wp.array2d[wp.vec3]
+    slide: wp.array2d[float]
+    """Slip that the first linearisation assumes at most [m]: that of the substep before. What
+    rides on a turning wheel has a velocity of the substep before, which would look like slip."""
+    slide_before: wp.array2d[float]
+    push: wp.array2d[float]
+    """Normal impulse that the last solve applied and adhesion's [N s], which limits friction."""
+    push_before: wp.array2d[float]
+    adhesion: wp.array[float]
+    """How hard each collider pulls on a particle that sticks to it [N]."""
+    recovery_speed: wp.array[float]
+    """How fast each collider moves out what lies inside it [m/s]."""
+    compliance: wp.array2d[wp.vec2]
+    """How much a soft surface gives to the contact across and along itself [m/N], 0 where it is
+    rigid. This and what follows has no rows where no collider is soft."""
+    borne: wp.array2d[wp.vec3]
+    """Part of the force on the particle that flesh has given way to by now [N]."""
+    borne_before: wp.array2d[wp.vec3]
+    held: wp.array2d[wp.vec3]
+    """Part of it that joints have given way to [N]."""
+    held_before: wp.array2d[wp.vec3]
+    lean: wp.array2d[wp.vec3]
+    """What both have given way [m]."""
+    face: wp.array2d[int]
+    """Where the contact is on a soft surface, and at what barycentric coordinates."""
+    place: wp.array2d[wp.vec2]
+
+
+@wp.func
+def tangential(vector: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """The part of a vector along a surface."""
+    return vector - normal * wp.dot(vector, normal)
+
+
+@wp.func
+def press_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+    i: int,
+) -> None:
+    """Add contact impulses and their tangent to the system: the one contact law.
+
+    A contact pushes with a stiffness times its penetration, tangentially with that stiffness
+    times the slip of its anchor, but at most μ times the normal impulse that the last solve
+    applied: the penetration of a velocity not yet solved for would promise a far larger one.
+    """
+    dt = common.time_step
+    block = wp.identity(n=3, dtype=float) * mass[material[i]]
+    contact_count = slots.count[i]
+    if contact_count > 0:
+        stiffness = CONTACT_STIFFNESS * wp.trace(diagonal[i]) / 3.0
+        contacts = wp.mat33()
+        push = wp.vec3()
+        for k in range(contact_count):
+            n = slots.normal[i, k]
+            relative = velocity[i] * dt - slots.surface_motion[i, k]
+            gap = slots.gap[i, k]
+            hold = slots.adhesion[slots.collider[i, k]] * dt
+            if slots.normal_stiffness[i, k] > 0.0:
+                solved = wp.dot(change[i], n) * slots.normal_stiffness[i, k]
+                load = wp.dot(slots.impulse[i, k], n) - solved + hold
+                slots.push[i, k] = wp.max(load, STICKING * hold)
+            speed = slots.recovery_speed[slots.collider[i, k]]
+            allowed = wp.min(gap + speed * dt, 0.0)
+            depth = allowed - gap - wp.dot(relative, n)
+            across = stiffness
+            along = stiffness
+            lean = wp.vec3()
+            beyond = float(0.0)
+            if i < slots.compliance.shape[0]:
+                # The surface gives by what the force changes: the two are springs in a row, and
+                # the far end is where the surface would be without the force.
+                lean = slots.lean[i, k]
+                depth += wp.dot(lean, n)
+                # Farther in than flesh can give way in time it is like bone: nothing gets through.
+                inner = gap + SOFT_DEPTH * common.radius
+                allowed = wp.min(inner + wp.min(speed, DEPENETRATION_SPEED) * dt, 0.0)
+                beyond = allowed - inner - wp.dot(relative, n)
+                gives = slots.compliance[i, k] * (stiffness / (dt * dt))
+                across = stiffness / (1.0 + gives[0])
+                along = stiffness / (1.0 + gives[1])
+            impulse = wp.vec3()
+            normal_stiffness = float(0.0)
+            friction_stiffness = float(0.0)
+            if depth > 0.0 or (hold > 0.0 and slots.push[i, k] > 0.0):
+                normal_stiffness = across
+                normal_push = across * depth / dt
+                if normal_push < -hold:
+                    normal_push = -hold
+                    normal_stiffness = hold * dt / -depth
+                if beyond > 0.0 and stiffness > across:
+                    normal_stiffness = stiffness
+                    normal_push += (stiffness - across) * beyond / dt
+                slip = tangential(relative - lean, n) + slots.anchor[i, k]
+                slip_length = wp.min(wp.length(slip), slots.slide[i, k])
+                slots.slide[i, k] = UNKNOWN_SLIDE
+                limit = friction[material[i], slots.collider[i, k]] * slots.push[i, k]
+                friction_stiffness = wp.min(along, limit * dt / wp.max(slip_length, 1.0e-12))
+                impulse = n * normal_push - slip * (friction_stiffness / dt)
+                contacts += (
+                    wp.outer(n, n) * (normal_stiffness - friction_stiffness)
+                    + wp.identity(n=3, dtype=float) * friction_stiffness
+                )
+                push += impulse
+            slots.impulse[i, k] = impulse
+            slots.normal_stiffness[i, k] = normal_stiffness
+            slots.friction_stiffness[i, k] = friction_stiffness
+            slots.stick_stiffness[i, k] = along
+        residual[i] = residual[i] + push
+        diagonal[i] = diagonal[i] + contacts
+        block += contacts
+    own_block[i] = block
+
+
+@wp.kernel(enable_backward=False)
+def press_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    mass: wp.array[float],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    residual: wp.array[wp.vec3],
+    diagonal: wp.array[wp.mat33],
+    own_block: wp.array[wp.mat33],
+) -> None:
+    """`press_contacts` for each particle."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        press_contacts(
+            common,
+            friction,
+            material,
+            mass,
+            velocity,
+            change,
+            slots,
+            residual,
+            diagonal,
+            own_block,
+            i,
+        )
+
+
+@wp.func
+def settle_contacts(
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+    i: int,
+) -> None:
+    """Sum the impulses that the solve applied, and let anchors stretch or slide.
+
+    The impulse is the linear one that the solve saw: what momentum really changed by.
+    """
+    dt = common.time_step
+    for k in range(slots.count[i]):
+        n = slots.normal[i, k]
+        relative = velocity[i] * dt - slots.surface_motion[i, k]
+        normal_stiffness = slots.normal_stiffness[i, k]
+        if normal_stiffness > 0.0:
+            held = slots.friction_stiffness[i, k]
+            along = wp.dot(change[i], n)
+            applied = (
+                slots.impulse[i, k]
+                - n * (along * normal_stiffness)
+                - (change[i] - n * along) * held
+            )
+            slots.impulse[i, k] = applied
+            wp.atomic_add(impulse, slots.collider[i, k], wp.vec3d(-applied))
+            lean = wp.vec3()
+            if i < slots.compliance.shape[0]:
+                lean = slots.lean[i, k]
+            slip = tangential(relative - lean, n) + slots.anchor[i, k]
+            slip_length = wp.length(slip)
+            hold = slots.adhesion[slots.collider[i, k]] * dt
+            load = wp.max(wp.dot(applied, n) + hold, STICKING * hold)
+            limit = friction[material[i], slots.collider[i, k]] * load
+            most = limit * dt / slots.stick_stiffness[i, k]
+            held_slip = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+            slots.anchor[i, k] = held_slip + tangential(lean, n)
+            slots.slide[i, k] = slip_length
+            slots.push[i, k] = load
+        else:
+            slots.anchor[i, k] = wp.vec3()
+            slots.slide[i, k] = UNKNOWN_SLIDE
+            slots.push[i, k] = 0.0
+        wp.atomic_max(deepest, 0, -slots.gap[i, k] - wp.dot(relative, n))
+
+
+@wp.kernel(enable_backward=False)
+def settle_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    friction: wp.array2d[float],
+    material: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    change: wp.array[wp.vec3],
+    slots: ContactSlots,
+    impulse: wp.array[wp.vec3d],
+    deepest: wp.array[float],
+) -> None:
+    """`settle_contacts` for each particle."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0:
+        settle_contacts(common, friction, material, velocity, change, slots, impulse, deepest, i)
+
+
+@wp.kernel(enable_backward=False)
+def rest_contacts(
+    resting: wp.array[int],
+    time_step: float,
+    slots: ContactSlots,
+    force: wp.array[wp.vec3d],
+) -> None:
+    """Keep the forces with which particles that fall asleep lie on colliders.
+
+    While they sleep, their slots hold forces [N] in place of impulses.
+    """
+    i = resting[wp.tid()]
+    for k in range(slots.count[i]):
+        slots.impulse[i, k] = slots.impulse[i, k] / time_step
+        wp.atomic_add(force, slots.collider[i, k], wp.vec3d(-slots.impulse[i, k]))
+
+
+@wp.kernel(enable_backward=False)
+def wake_contacts(
+    woken: wp.array[int],
+    time_step: float,
+    slots: ContactSlots,
+    clearance: wp.array2d[float],
+    force: wp.array[wp.vec3d],
+) -> None:
+    """Let go of those forces; where colliders are now must be looked up."""
+    i = woken[wp.tid()]
+    for k in range(slots.count[i]):
+        wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))
+        slots.impulse[i, k] = slots.impulse[i, k] * time_step
+    for which in range(clearance.shape[0]):
+        clearance[which, i] = 0.0

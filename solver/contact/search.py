@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which planes and meshes a particle may touch in a substep."""
+
+import warp as wp
+
+from ..core.awake import Awake, awake_particle
+from .law import MOST_CONTACTS, UNKNOWN_SLIDE, ContactPass, ContactSlots
+
+
+@wp.func
+def add_contact(
+    slots: ContactSlots,
+    i: int,
+    collider: int,
+    normal: wp.vec3,
+    gap: float,
+    surface_motion: wp.vec3,
+    turn: wp.quat,
+    compliance: wp.vec4,
+    face: int,
+    place: wp.vec2,
+) -> None:
+    """Give a particle a contact, with the anchor that it had on this collider before."""
+    used = slots.count[i]
+    if used < MOST_CONTACTS:
+        slots.collider[i, used] = collider
+        slots.normal[i, used] = normal
+        slots.gap[i, used] = gap
+        slots.surface_motion[i, used] = surface_motion
+        slots.impulse[i, used] = wp.vec3()
+        anchor = wp.vec3()
+        slide = float(UNKNOWN_SLIDE)
+        push = float(0.0)
+        borne = wp.vec3()
+        held = wp.vec3()
+        for k in range(slots.count_before[i]):
+            if slots.collider_before[i, k] == collider:
+                if compliance[0] > 0.0:
+                    borne = slots.borne_before[i, k]
+                    held = slots.held_before[i, k]
+                anchor = wp.quat_rotate(turn, slots.anchor_before[i, k])
+                slide = slots.slide_before[i, k]
+                push = slots.push_before[i, k]
+        slots.anchor[i, used] = anchor - normal * wp.dot(anchor, normal)
+        slots.slide[i, used] = slide
+        slots.push[i, used] = push
+        slots.normal_stiffness[i, used] = 0.0
+        if i < slots.compliance.shape[0]:
+            slots.borne[i, used] = borne
+            slots.held[i, used] = held
+            across = borne * compliance[0] + held * compliance[2]
+            along = borne * compliance[1] + held * compliance[3]
+            slots.lean[i, used] = along + normal * wp.dot(across - along, normal)
+            slots.compliance[i, used] = wp.vec2(
+                compliance[0] + compliance[2], compliance[1] + compliance[3]
+            )
+            slots.face[i, used] = face
+            slots.place[i, used] = place
+        slots.count[i] = used + 1
+
+
+@wp.struct
+class Surroundings:
+    """The colliders, as contact search sees them."""
+
+    plane_point: wp.array[wp.vec3]
+    plane_normal: wp.array[wp.vec3]
+    mesh: wp.array[wp.uint64]
+    pose: wp.array2d[wp.transform]
+    """Of each mesh, by substep."""
+    substep: wp.array[int]
+    """Which of a step's substeps is under way; on the device, so that it can be recorded."""
+    reach: wp.array[float]
+    """How far off a mesh is looked for [m]."""
+    pose_before: wp.array[wp.transform]
+    """Of each mesh, a substep before the first of `pose`."""
+    turning: wp.array[int]
+    """1 for a mesh that turns in this step or did in the last."""
+    travel: wp.array[float]
+    """What each mesh moves in a substep at most [m]; of a turning one, its change of shape only."""
+    clearance: wp.array2d[float]
+    """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
+    up, the mesh is not asked."""
+    first_face: wp.array[int]
+    """Where the faces of each mesh begin in ``compliance``; -1 where it is rigid."""
+    compliance: wp.array[wp.vec4]
+    """How much flesh gives to a contact at each face of soft meshes, across and along it, and how
+    much joints do [m/N]."""
+
+
+@wp.func
+def motion_past(
+    around: Surroundings, which: int, substep: int, start: wp.vec3, end: wp.vec3
+) -> float:
+    """How far a point moves past a mesh in a substep at most [m].
+
+    Past one that turns it is measured where it is: clay on a wheel does not move past that.
+    """
+    motion = wp.length(end - start)
+    if around.turning[which] == 1:
+        before = around.pose_before[which]
+        if substep >= 0:
+            before = around.pose[which, substep]
+        after = around.pose[which, substep + 1]
+        motion = wp.length(
+            wp.transform_point(wp.transform_inverse(after), end)
+            - wp.transform_point(wp.transform_inverse(before), start)
+        )
+    return motion + around.travel[which]
+
+
+@wp.func
+def comes_near(
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    i: int,
+) -> bool:
+    """Tell whether a particle may touch something in this substep, or touched it in the last."""
+    near = bool(slots.count[i] > 0)
+    x = position[i]
+    v = velocity[i]
+    substep = int(0)
+    if around.mesh.shape[0] > 0:
+        substep = around.substep[0]
+    for plane in range(around.plane_point.shape[0]):
+        normal = around.plane_normal[plane]
+        gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(v, normal), 0.0) * common.time_step
+        if gap - closing < common.margin:
+            near = True
+    for which in range(around.mesh.shape[0]):
+        before = x - v * common.time_step_before
+        bound = around.clearance[which, i] - motion_past(around, which, substep - 1, before, x)
+        around.clearance[which, i] = bound
+        coming = motion_past(around, which, substep, x, x + v * common.time_step)
+        if bound - coming <= common.radius + common.margin:
+            near = True
+    return near
+
+
+@wp.func
+def find_contacts(
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+    i: int,
+) -> None:
+    """Find what a particle may touch in this substep; `comes_near` comes first."""
+    for k in range(slots.count[i]):
+        slots.collider_before[i, k] = slots.collider[i, k]
+        slots.anchor_before[i, k] = slots.anchor[i, k]
+        slots.slide_before[i, k] = slots.slide[i, k]
+        slots.push_before[i, k] = slots.push[i, k]
+        if i < slots.compliance.shape[0]:
+            force = slots.impulse[i, k] / common.time_step_before
+            borne = slots.borne[i, k]
+            held = slots.held[i, k]
+            slots.borne_before[i, k] = borne + (force - borne) * common.yielding[0]
+            slots.held_before[i, k] = held + (force - held) * common.yielding[1]
+    slots.count_before[i] = slots.count[i]
+    slots.count[i] = 0
+    x = position[i]
+    motion = velocity[i] * common.time_step
+    near = common.radius + common.margin
+    plane_count = around.plane_point.shape[0]
+    for which in range(around.mesh.shape[0]):
+        coming = motion_past(around, which, around.substep[0], x, x + motion)
+        bound = around.clearance[which, i] - coming
+        if bound > near:
+            continue
+        before = around.pose[which, around.substep[0]]
+        after = around.pose[which, around.substep[0] + 1]
+        local = wp.transform_point(wp.transform_inverse(after), x + motion)
+        # While motion cannot have used up a positive clearance, the particle is outside: no need
+        # to find the sign, which costs several times as much as the nearest point.
+        sign = float(1.0)
+        reach = around.reach[which]
+        if bound > 0.0:
+            reach = wp.min(reach, 4.0 * near)
+            query = wp.mesh_query_point_no_sign(around.mesh[which], local, reach)
+        elif around.first_face[which] >= 0:
+            # Winding numbers of a mesh that deforms all the time cost more than the rest of it.
+            query = wp.mesh_query_point_sign_normal(around.mesh[which], local, reach)
+            sign = query.sign
+        else:
+            query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
+            sign = query.sign
+        if not query.result:
+            around.clearance[which, i] = reach - coming
+            continue
+        nearest = wp.mesh_eval_position(around.mesh[which], query.face, query.u, query.v)
+        offset = local - nearest
+        apart = wp.length(offset)
+        around.clearance[which, i] = sign * apart - coming
+        if sign * apart < near:
+            if apart > 1.0e-4 * common.radius:
+                normal = offset * (sign / apart)
+            else:
+                normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
+            normal = wp.transform_vector(after, normal)
+            drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
+            # Of what is now where the particle is: where that will be is but a guess, and clay on a
+            # wheel would creep by half the square of the angle.
+            carried = wp.transform_point(wp.transform_inverse(before), x)
+            surface_motion = (
+                wp.transform_point(after, carried)
+                - wp.transform_point(before, carried)
+                + wp.transform_vector(after, drift)
+            )
+            gap = sign * apart - common.radius - wp.dot(motion - surface_motion, normal)
+            turn = wp.transform_get_rotation(after) * wp.quat_inverse(
+                wp.transform_get_rotation(before)
+            )
+            compliance = wp.vec4()
+            if around.first_face[which] >= 0:
+                compliance = around.compliance[around.first_face[which] + query.face]
+            place = wp.vec2(query.u, query.v)
+            add_contact(
+                slots,
+                i,
+                plane_count + which,
+                normal,
+                gap,
+                surface_motion,
+                turn,
+                compliance,
+                query.face,
+                place,
+            )
+    for plane in range(plane_count):
+        normal = around.plane_normal[plane]
+        gap = wp.dot(x - around.plane_point[plane], normal) - common.radius
+        closing = wp.max(-wp.dot(motion, normal), 0.0)
+        if gap - closing < common.margin:
+            add_contact(
+                slots, i, plane, normal, gap, wp.vec3(), wp.quat_identity(), wp.vec4(), 0, wp.vec2()
+            )
+
+
+@wp.kernel(enable_backward=False)
+def find_all_contacts(
+    awake: Awake,
+    common: ContactPass,
+    around: Surroundings,
+    position: wp.array[wp.vec3],
+    velocity: wp.array[wp.vec3],
+    slots: ContactSlots,
+) -> None:
+    """Find what each particle may touch in this substep."""
+    i = awake_particle(awake, wp.tid())
+    if i >= 0 and comes_near(common, around, position, velocity, slots, i):
+        find_contacts(common, around, position, velocity, slots, i)

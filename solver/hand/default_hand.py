@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The default hand with its skeleton: of any size, or of the size a tracker measured.
+
+Bones are OpenXR's 26 joints (XR_EXT_hand_tracking), each with its origin in the joint, -Z along the
+bone towards the fingertip, +Y out of the back of the hand and +X to the right of both, as trackers
+give them. So a tracker's joint pose, turned from Y up to Z up, is the bone's matrix.
+
+The frame is that of `hand_shape`: wrist in the origin, fingers to +Y, the hand's back to +Z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .mesh import hand_mesh
+from .proportions import AVERAGE, FINGERS, REFERENCE_LENGTH, SEGMENTS, HandProportions
+from .rig import MOST_BONES
+from .shape import HandPose, HandShape, hand_shape, reference_shape
+from .skinned_hand import SkinnedHand
+from .weights import BONE_NAMES, bone_parents, bone_weights
+
+if TYPE_CHECKING:
+    from .rig import HandRig
+
+REST_POSE = HandPose(
+    index=(-7.0, 8.0, 10.0, 6.0),
+    middle=(0.0, 8.0, 10.0, 6.0),
+    ring=(7.0, 8.0, 10.0, 6.0),
+    little=(15.0, 8.0, 10.0, 6.0),
+    thumb=(4.0, 6.0, 6.0, 10.0, 10.0),
+)
+"""Fingers apart and a little bent: between a flat hand and a fist."""
+
+_GAP = 0.0025
+"""Air between fingers at rest, in a hand of the reference length [m]."""
+_WEB = 0.6
+"""Fingers are apart from here on, in lengths of the proximal bone."""
+_SMOOTHING = 6
+_NEGLIGIBLE = 0.02
+"""Weights below this are left out, so that a finger is free of its neighbours."""
+
+
+def default_hand(
+    side: str = "right",
+    *,
+    length: float = REFERENCE_LENGTH,
+    proportions: HandProportions = AVERAGE,
+    edge_length: float | None = None,
+) -> SkinnedHand:
+    """Make the default hand in its rest pose.
+
+    Args:
+        side: "right" or "left".
+        length: From the wrist joint to the tip of the straight middle finger [m].
+        proportions: How large the hand's parts are among each other; `measured_proportions` gives
+            those of a person, and their length.
+        edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
+
+    Returns:
+        A watertight skin, each vertex carried by four bones at most.
+
+    Raises:
+        ValueError: If the side is unknown, the length is not positive, or the edge is too long to
+            tell the fingers apart.
+    """
+    pose = rest_pose(proportions)
+    vertices, faces = hand_mesh(
+        side, length=length, pose=pose, edge_length=edge_length, proportions=proportions
+    )
+    shape = hand_shape(side, length=length, pose=pose, proportions=proportions)
+    weights = _smoothed(bone_weights(vertices, shape), faces)
+    return SkinnedHand(
+        side=side,
+        vertices=vertices,
+        faces=faces,
+        bone_names=BONE_NAMES,
+        bone_rest=np.stack(list(bone_matrices(shape).values())),
+        bone_parent=bone_parents(),
+        weights=weights,
+    )
+
+
+def default_hand_rig(
+    side: str = "right",
+    *,
+    clay_spacing: float,
+    length: float = REFERENCE_LENGTH,
+    proportions: HandProportions = AVERAGE,
+) -> HandRig:
+    """Make the default hand and bind it for clay.
+
+    Args:
+        side: As for `default_hand`.
+        clay_spacing: Distance of the clay's particles [m].
+        length: As for `default_hand` [m].
+        proportions: As for `default_hand`.
+
+    Raises:
+        ValueError: As for `default_hand` and `bind_hand`.
+    """
+    from .binding import bind_hand
+
+    hand = default_hand(side, length=length, proportions=proportions)
+    return bind_hand(hand, clay_spacing=clay_spacing)
+
+
+def rest_pose(proportions: HandProportions) -> HandPose:
+    """The pose that a hand is modelled in: `REST_POSE`, opened further for thick fingers."""
+    for share in np.arange(1.0, 3.0, 0.1):
+        pose = replace(
+            REST_POSE,
+            **{
+                name: (share * getattr(REST_POSE, name)[0], *getattr(REST_POSE, name)[1:])
+                for name in FINGERS
+            },
+        )
+        if _narrowest_gap(reference_shape(pose, proportions)) > _GAP:
+            break
+    return pose
+
+
+def _narrowest_gap(shape: HandShape) -> float:
+    """Air between neighbouring fingers beyond their webs [m]."""
+    share = np.linspace(_WEB, 3.0, 25)
+    tubes = []
+    for name in FINGERS:
+        chain = [f"{name}_{segment}" for segment in SEGMENTS[1:]]
+        places = np.array([shape.joints[joint] for joint in chain])
+        radii = [shape.radii[joint] for joint in chain]
+        along = np.stack([np.interp(share, range(4), axis) for axis in places.T], axis=1)
+        tubes.append((along, np.interp(share, range(4), radii)))
+    gaps = [
+        np.linalg.norm(first[0][:, None] - second[0], axis=2) - first[1][:, None] - second[1]
+        for first, second in pairwise(tubes)
+    ]
+    return float(np.min(gaps))
+
+
+def bone_matrices(shape: HandShape) -> dict[str, NDArray[np.float64]]:
+    """World from each bone's own coordinates in a pose, by bone name, shape [4, 4]."""
+    matrices = {}
+    for name in BONE_NAMES:
+        matrix = np.eye(4)
+        right, ahead, up = shape.axes[name].T
+        matrix[:3] = np.column_stack([right, up, -ahead, shape.joints[name]])
+        matrices[name] = matrix
+    return matrices
+
+
+def _smoothed(weights: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Even weights out along the skin and keep the largest, rows adding up to one, shape [V, B]."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    degree = np.bincount(edges[:, 0], minlength=len(weights))[:, None]
+    for _ in range(_SMOOTHING):
+        sums = np.zeros_like(weights)
+        np.add.at(sums, edges[:, 0], weights[edges[:, 1]])
+        weights = 0.5 * weights + 0.5 * sums / degree
+    least = -np.sort(-weights, axis=1)[:, MOST_BONES - 1 : MOST_BONES]
+    weights = np.where(weights >= np.maximum(least, _NEGLIGIBLE), weights, 0.0)
+    return weights / weights.sum(1, keepdims=True)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much each bone of the default hand carries its skin.
+
+A point belongs to fingers by how near it is to each, and within a finger to the bones on either
+side of a joint by how far it lies beyond the joint's bisecting plane.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .proportions import FINGERS, JOINT_NAMES
+from .shape import HandShape
+
+Array = NDArray[np.float64]
+
+BONE_NAMES: tuple[str, ...] = ("wrist", "palm", *JOINT_NAMES[2:])
+"""Bones, by the joint each begins at; parents stand before children."""
+
+_SHARPNESS = 8
+"""Power of the nearness: how suddenly skin passes from one finger to the next."""
+_WRIST_NEARNESS = 3.0**-_SHARPNESS
+"""Skin farther than three radii from every finger goes with the wrist."""
+_CARPUS = {"thumb": (-0.3, 0.45), "finger": (-0.1, 0.55)}
+"""Where skin passes from the wrist to a metacarpal, in lengths of it from its base."""
+_BLEND = {"proximal": 1.25, "intermediate": 0.95, "distal": 0.85}
+"""Half of the way over which skin passes from one bone to the next, in radii of the joint."""
+_CREASE = {"proximal": 0.55, "intermediate": 0.1, "distal": 0.1}
+"""How much farther towards the tip that is on the palm's side, per distance from the axis."""
+
+
+def bone_parents() -> NDArray[np.int32]:
+    """Index of each bone's parent, -1 for the wrist, shape [26]."""
+    parents = [-1, 0]
+    for before, name in pairwise(BONE_NAMES[1:]):
+        parents.append(0 if name.endswith("metacarpal") else BONE_NAMES.index(before))
+    return np.array(parents, np.int32)
+
+
+def bone_weights(points: Array, shape: HandShape) -> Array:
+    """Tell how much each of BONE_NAMES carries each point of the skin, shape [N, 26].
+
+    Args:
+        points: Places on the skin in the shape's own pose [m], shape [N, 3].
+        shape: Joints of a hand.
+    """
+    chains = {
+        name: [joint for joint in JOINT_NAMES if joint.startswith(name)]
+        for name in ("thumb", *FINGERS)
+    }
+    nearness = np.stack([_nearness(points, shape, chain) for chain in chains.values()], axis=1)
+    total = nearness.sum(axis=1) + _WRIST_NEARNESS
+    weights = np.zeros((len(points), len(BONE_NAMES)))
+    weights[:, 0] = _WRIST_NEARNESS / total
+    for chain, near in zip(chains.values(), nearness.T, strict=True):
+        beyond = _beyond_wrist(points, shape, chain)
+        weights[:, 0] += near / total * (1.0 - beyond)
+        for number, joint in enumerate(chain[:-1]):
+            following = (
+                _beyond(points, shape, chain, number + 1)
+                if number + 2 < len(chain)
+                else np.zeros(len(points))
+            )
+            following = np.minimum(following, beyond)
+            weights[:, BONE_NAMES.index(joint)] = near / total * (beyond - following)
+            beyond = following
+    return weights
+
+
+def _nearness(points: Array, shape: HandShape, chain: list[str]) -> Array:
+    """How near points are to a finger, measured in its own radii, shape [N]."""
+    nearest = np.full(len(points), np.inf)
+    for start, end in pairwise(chain):
+        axis = shape.joints[end] - shape.joints[start]
+        offset = points - shape.joints[start]
+        along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
+        way = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+        radius = shape.radii[start] + along * (shape.radii[end] - shape.radii[start])
+        nearest = np.minimum(nearest, way / radius)
+    return np.minimum(np.maximum(nearest, 1e-3) ** -_SHARPNESS, 1e3)
+
+
+def _beyond_wrist(points: Array, shape: HandShape, chain: list[str]) -> Array:
+    """Share of skin that goes with a metacarpal or what follows it, not with the wrist, [N]."""
+    start, end = shape.joints[chain[0]], shape.joints[chain[1]]
+    way = (points - start) @ (end - start) / ((end - start) @ (end - start))
+    first, last = _CARPUS["thumb" if chain[0].startswith("thumb") else "finger"]
+    return _step((way - first) / (last - first))
+
+
+def _step(way: Array) -> Array:
+    """Rise smoothly from 0 at 0 to 1 at 1."""
+    share = np.clip(way, 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _beyond(points: Array, shape: HandShape, chain: list[str], number: int) -> Array:
+    """Share of skin that goes with the bones after a joint: 0 before it, 1 after it, shape [N]."""
+    joint, before = chain[number], chain[number - 1]
+    ahead = shape.axes[joint][:, 1] + shape.axes[before][:, 1]
+    up = shape.axes[joint][:, 2] + shape.axes[before][:, 2]
+    offset = points - shape.joints[joint]
+    segment = joint.split("_")[1]
+    radius = shape.radii[joint]
+    way = offset @ (ahead / np.linalg.norm(ahead))
+    depth = np.clip(-offset @ (up / np.linalg.norm(up)), -1.5 * radius, 1.5 * radius)
+    way = way - _CREASE[segment] * depth
+    return _step(0.5 + 0.5 * way / (_BLEND[segment] * radius))

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whether clay that sleeps is still held.
+
+To its awake neighbours sleeping clay is a wall. A wall holds whatever hangs on it, even where what
+bore it has gone. So each piece of sleeping clay is asked, step by step, whether its weight, what it
+lay on colliders with when it fell asleep, and what its awake neighbours do to it still add up to
+about nothing. What lies on something may be pressed against that.
+"""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..contact.contacts import Contacts
+from ..contact.law import ContactSlots
+from ..core.awake import Awake, awake_particle
+from ..core.particles import Particles
+from ..core.regions import Regions
+from .law import BREAK_LENGTH, Body, Clay, PairLaw, bond_hold, kernel_slope
+from .pairs.rows import COMPRESSION, PairRows
+
+BORNE = 0.2
+"""Sleeping clay bears this part of its weight sideways or upward: friction and inertia hold it."""
+LEAST_ACCELERATION = 0.1
+"""What accelerates sleeping clay by less is ignored [m/s²]."""
+
+
+@wp.kernel(enable_backward=False)
+def sum_reactions(
+    awake: Awake,
+    clay: Clay,
+    pair_laws: wp.array[PairLaw],
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    position: wp.array[wp.vec3],
+    pairs: PairRows,
+    region: wp.array[int],
+    force: wp.array[wp.vec3],
+) -> None:
+    """Sum what awake particles do to sleeping ones, by region of those [N]."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    own = material[i]
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        if pairs.resting[j] == 1:
+            offset = position[i] - position[j]
+            apart = wp.length(offset)
+            pressure = bodies[own].pressure_stiffness * pairs.condition[i][COMPRESSION]
+            pressure += bodies[material[j]].pressure_stiffness * pairs.condition[j][COMPRESSION]
+            pull = -pressure * kernel_slope(clay, apart)
+            rest = pairs.rest_length[slot]
+            if rest > 0.0:
+                law = pair_laws[own * clay.material_count + material[j]]
+                pull += law.stiffness * bond_hold(clay, rest) * (apart - rest)
+            wp.atomic_add(force, region[j], offset * (pull / wp.max(apart, 1.0e-12)))
+
+
+@wp.kernel(enable_backward=False)
+def sum_support(
+    pairs: PairRows,
+    material: wp.array[int],
+    mass: wp.array[float],
+    slots: ContactSlots,
+    region: wp.array[int],
+    support: wp.array[wp.vec3],
+    region_mass: wp.array[float],
+) -> None:
+    """Sum the forces of colliders on sleeping particles [N] and their mass [kg], by region.
+
+    The slots of what sleeps hold forces in place of impulses.
+    """
+    i = wp.tid()
+    if pairs.resting[i] == 1:
+        wp.atomic_add(region_mass, region[i], mass[material[i]])
+        if slots.count.shape[0] > 0:
+            for k in range(slots.count[i]):
+                wp.atomic_add(support, region[i], slots.impulse[i, k])
+
+
+class Balance:
+    """Finds sleeping clay that nothing holds any more.
+
+    Args:
+        particles: The clay.
+    """
+
+    def __init__(self, particles: Particles) -> None:
+        self.particles = particles
+        self._generation = -1
+        self._piece = np.zeros(0, int)
+        self._support = np.zeros((0, 3))
+        self._mass = np.zeros(0)
+
+    def unheld(
+        self,
+        regions: Regions,
+        clay: Clay,
+        pair_laws: wp.array,
+        bodies: wp.array,
+        pairs: PairRows,
+        contacts: Contacts,
+    ) -> NDArray[np.bool_]:
+        """Regions that sleep and should not, shape [R].
+
+        Args:
+            regions: Which parts of the clay sleep.
+            clay: What all pairs share.
+            pair_laws: Of each pair of materials.
+            bodies: What particles of each material have of their own.
+            pairs: The rows of neighbours.
+            contacts: What the clay lies on.
+        """
+        asleep, particles = regions.asleep, self.particles
+        count, device = len(asleep), particles.device
+        occupied = asleep & np.isfinite(regions.boxes[:, 0, 0])
+        if not occupied.any() or asleep.all():
+            return np.zeros(count, bool)
+        if self._generation != regions.generation:
+            # What sleeps neither moves nor presses otherwise until then.
+            self._generation = regions.generation
+            self._piece = self._pieces(regions, occupied)
+            self._sum_support(regions, pairs, contacts)
+        force = wp.zeros(count, dtype=wp.vec3, device=device)
+        particles.launch(
+            sum_reactions,
+            clay,
+            pair_laws,
+            bodies,
+            particles.material,
+            particles.position,
+            pairs,
+            regions.region,
+            force,
+        )
+        gravity = np.array(particles.gravity)
+        net = np.zeros((count, 3))
+        np.add.at(net, self._piece, self._support + force.numpy())
+        mass = np.bincount(self._piece, self._mass, minlength=count)
+        net += mass[:, None] * gravity
+        support = np.zeros((count, 3))
+        np.add.at(support, self._piece, self._support)
+        strength = float(np.linalg.norm(gravity))
+        if strength > 0.0:
+            down = gravity / strength
+            into = np.maximum(net @ down, 0.0) * (support @ down < 0.0)
+            net -= into[:, None] * down
+        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + LEAST_ACCELERATION)
+        return occupied & unborne[self._piece]
+
+    def _pieces(self, regions: Regions, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """A number for each connected piece of sleeping clay, by region, shape [R]."""
+        boxes, shape = regions.boxes, regions.shape
+        reach = BREAK_LENGTH * self.particles.spacing
+        label = np.arange(len(occupied))
+        index = label.reshape(shape)
+        pairs = []
+        for step in ((0, 0, 1), (0, 1, 0), (1, 0, 0), *_DIAGONALS):
+            here = tuple(slice(max(0, -s), n - max(0, s)) for s, n in zip(step, shape, strict=True))
+            there = tuple(slice(max(0, s), n + min(0, s)) for s, n in zip(step, shape, strict=True))
+            a, b = index[here].ravel(), index[there].ravel()
+            both = occupied[a] & occupied[b]
+            a, b = a[both], b[both]
+            close = (boxes[a, 0] < boxes[b, 1] + reach) & (boxes[b, 0] < boxes[a, 1] + reach)
+            close = close.all(1)
+            pairs.append(np.stack([a[close], b[close]], 1))
+        edges = np.concatenate(pairs)
+        while True:
+            lowest = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
+            before = label.copy()
+            np.minimum.at(label, edges[:, 0], lowest)
+            np.minimum.at(label, edges[:, 1], lowest)
+            label = label[label]
+            if np.array_equal(label, before):
+                return label
+
+    def _sum_support(self, regions: Regions, pairs: PairRows, contacts: Contacts) -> None:
+        particles, device = self.particles, self.particles.device
+        support = wp.zeros(len(regions.asleep), dtype=wp.vec3, device=device)
+        mass = wp.zeros(len(regions.asleep), dtype=float, device=device)
+        slots = contacts.slots
+        inputs = [pairs, particles.material, particles.mass, slots, regions.region, support, mass]
+        wp.launch(sum_support, dim=particles.count, inputs=inputs, device=device)
+        self._support, self._mass = support.numpy().astype(float), mass.numpy().astype(float)
+
+
+_DIAGONALS = tuple(
+    (x, y, z)
+    for x in (0, 1)
+    for y in (-1, 0, 1)
+    for z in (-1, 0, 1)
+    if abs(x) + abs(y) + abs(z) > 1 and (x > 0 or y > 0)
+)
+"""With the axes, one of each two opposite ways to a neighbouring region."""

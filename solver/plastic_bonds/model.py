@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The default clay: bonds that yield by stress, solved for implicitly."""
+
+import math
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..contact.contacts import Contacts
+from ..contact.law import ContactPass
+from ..core.particles import Particles
+from ..core.recording import Recordings
+from ..core.regions import Regions
+from ..scene.material import Material
+from ..scene.settings import BASE_STEP, Settings
+from .balance import Balance
+from .law import (
+    BOND_REACH,
+    PRESS_REACH,
+    Body,
+    Clay,
+    PairLaw,
+    make_bodies,
+    make_clay,
+    make_pair_laws,
+)
+from .pairs.neighbors import Neighbors
+from .pairs.pairs import Pairs
+from .pairs.rows import COMPRESSION
+from .solve.coarse_space import CoarseSpace
+from .solve.conjugate_gradients import ConjugateGradients
+from .solve.spin import Spin
+
+SKIN = 0.6
+"""Extra reach of neighbour lists, in spacings."""
+MOST_CLAYS = 64
+"""Lengths of substep for which what pairs share is kept."""
+ITERATIONS_PER_REACH = 0.55
+"""Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
+FEWEST_ITERATIONS = 6
+MOST_ITERATIONS = 40
+
+
+@wp.kernel(enable_backward=False)
+def stand_still(
+    resting: wp.array[int],
+    velocity: wp.array[wp.vec3],
+    direction: wp.array[wp.vec4],
+) -> None:
+    """Let particles do nothing in any pass that awake neighbours take part in."""
+    i = resting[wp.tid()]
+    velocity[i] = wp.vec3()
+    direction[i] = wp.vec4()
+
+
+class PlasticBonds:
+    """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
+
+    In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
+    each substep solves for all velocities at once, by two Newton steps of conjugate gradients (one
+    does not do: friction and yield follow from what the first finds; more change little)
+    (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
+    doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
+    whole-body motion are exact.
+
+    Args:
+        particles: What the clay consists of.
+        contacts: What it touches.
+        settings: How finely to work.
+    """
+
+    def __init__(self, particles: Particles, contacts: Contacts, settings: Settings) -> None:
+        self.particles = particles
+        self.contacts = contacts
+        self.settings = settings
+        count, spacing, device = particles.count, particles.spacing, particles.device
+        self.device = device
+        self.diagonal = wp.zeros(count, dtype=wp.mat33, device=device)
+        masses = np.array([m.density * spacing**3 for m in particles.materials])
+        own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
+        self.own_block = wp.array(own, dtype=wp.mat33, device=device)
+        """Mass and contacts of each particle [kg]."""
+        self.bodies = wp.array(
+            make_bodies(particles.materials, settings, spacing), dtype=Body, device=device
+        )
+        self.pairs = Pairs(particles)
+        # Bonds stay listed however long they are; only pairs that come close must be found.
+        self.neighbors = Neighbors(particles, self.pairs, PRESS_REACH * spacing, SKIN * spacing)
+        # One more than needed: a substep may be longer than it should by rounding.
+        most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
+        self.gradients = ConjugateGradients(particles, most_iterations)
+        self.coarse = CoarseSpace(particles)
+        self._balance = Balance(particles)
+        self.spin = Spin(particles, self.coarse)
+        self._recordings = Recordings(particles)
+        self._clays: dict[float, Clay] = {}
+        laws = make_pair_laws(particles.materials, spacing)
+        self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
+        self._prepare_law(BASE_STEP / settings.substeps)
+        if count:
+            self.neighbors.rebuild()
+            if settings.elastoplasticity:
+                self.neighbors.bond_all(BOND_REACH * spacing)
+
+    can_sleep = True
+
+    def rest(self, resting: NDArray[np.int64], time_step: float) -> None:
+        """Bring particles to rest that fall asleep: to the others they are a wall."""
+        index = wp.array(resting, dtype=int, device=self.device)
+        self.contacts.rest(index, time_step)
+        inputs = [
+            index,
+            self.particles.velocity,
+            self.gradients.data.direction,
+        ]
+        wp.launch(stand_still, dim=len(resting), inputs=inputs, device=self.device)
+        self.coarse.release(resting)
+
+    def unheld(self, regions: Regions) -> NDArray[np.bool_]:
+        """Which regions sleep and are held by nothing any more, shape [R]."""
+        return self._balance.unheld(
+            regions, self.clay, self.pair_laws, self.bodies, self.pairs.rows, self.contacts
+        )
+
+    def wake(self, woken: NDArray[np.int64]) -> None:
+        """Take up particles that are about to wake; they still count as resting."""
+        index = wp.array(woken, dtype=int, device=self.device)
+        self.contacts.wake(index)
+        self.neighbors.match(index)
+
+    def woken(self) -> None:
+        """Find their neighbours, and lay the coarse cells anew."""
+        self.neighbors.rebuild()
+        self.coarse.release(np.zeros(0, int))
+
+    def begin_step(self) -> None:
+        """Lay the coarse cells over the clay, and see how they turn."""
+        self.coarse.place_cells(self.neighbors.rebuild_count)
+        self.spin.measure()
+
+    def run_substep(self, substep: ContactPass) -> None:
+        """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
+        self.neighbors.rebuild_if_moved()
+        self._prepare_law(substep.time_step)
+        turns = self.spin.prepare(substep.time_step)
+        # Generations, not addresses: a new array may lie where an old one was.
+        key = (
+            substep.time_step,
+            substep.time_step_before,
+            self.coarse.generation,
+            self.pairs.generation,
+            self.particles.threads,
+            self.contacts.generation,
+        )
+        self._recordings.run((*key, turns, "open"), lambda: self._open(substep, turns))
+        self.coarse.invert()
+        self._recordings.run((*key, "close"), lambda: self._close(substep))
+
+    def _iterations(self, time_step: float) -> tuple[int, int]:
+        """Iterations in each Newton step, for substeps of ``time_step`` [s].
+
+        They grow with how far a shear wave runs in that time, and how far viscosity carries motion;
+        beyond the size of a coarse cell, the coarse space does. Shorter substeps need no more. The
+        first step only finds where clay yields and what slides: a third as many do (measured).
+        """
+        last = self.settings.iterations
+        if last is None:
+            farthest = max((_reach(m, time_step) for m in self.particles.materials), default=0.0)
+            last = round(ITERATIONS_PER_REACH * farthest / self.particles.spacing)
+            last = min(max(last, FEWEST_ITERATIONS), MOST_ITERATIONS)
+        return -(-last // 3), last
+
+    def _prepare_law(self, time_step: float) -> None:
+        """Take up what all pairs share in a substep; recordings hold on to those made before."""
+        if time_step not in self._clays:
+            if len(self._clays) >= MOST_CLAYS:
+                self._clays.clear()
+                self._recordings.clear()
+            particles = self.particles
+            self._clays[time_step] = make_clay(
+                self.settings, particles.spacing, len(particles.materials), time_step
+            )
+        self.clay = self._clays[time_step]
+
+    def _open(self, substep: ContactPass, turns: bool) -> None:
+        """Everything up to the coarse matrix; ``turns`` says whether anything spins."""
+        particles = self.particles
+        particles.fall_freely(substep.time_step, substep.time_step_before)
+        self.contacts.find(substep)
+        self.contacts.cut(self.pairs.rows)
+        if turns:
+            self.spin.turn()
+        self.pairs.gather(self.clay, self.bodies)
+        self._linearize(substep)
+        self.coarse.assemble(self.own_block, self.pairs)
+
+    def _close(self, substep: ContactPass) -> None:
+        """Newton's method, and what follows from the velocities it finds."""
+        for newton, iterations in enumerate(self._iterations(substep.time_step)):
+            if newton > 0:
+                self.pairs.measure(self.clay, self.bodies)
+                self._linearize(substep)
+            self.gradients.solve(
+                iterations,
+                self.clay,
+                self.bodies,
+                self.pairs,
+                self.diagonal,
+                self.own_block,
+                self.coarse,
+            )
+        self.contacts.settle(substep, self.gradients.change)
+        self.pairs.flow(self.clay, self.pair_laws)
+        self.particles.move(substep.time_step)
+        self.neighbors.measure()
+
+    def _linearize(self, substep: ContactPass) -> None:
+        """Residual and tangent of pairs and contacts at the present velocities."""
+        residual = self.gradients.residual
+        self.pairs.sum_forces(self.clay, self.pair_laws, self.bodies, residual, self.diagonal)
+        self.contacts.press(substep, self.gradients.change, residual, self.diagonal, self.own_block)
+
+    def compression(self) -> NDArray[np.float32]:
+        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+        return self.pairs.rows.condition.numpy()[:, COMPRESSION]
+
+    @property
+    def overflow(self) -> int:
+        """Neighbours that found no room, since the beginning."""
+        return self.neighbors.overflow
+
+    def passes(self) -> list[str]:
+        """What a substep consists of."""
+        return ["neighbour lists", "bonds" if self.settings.elastoplasticity else "pressure"]
+
+    def snapshot(self) -> dict[str, NDArray]:
+        """Bonds, and what they have been through."""
+        return {
+            "condition": self.pairs.rows.condition.numpy().copy(),
+            **self.neighbors.snapshot(),
+            **self.coarse.snapshot(),
+        }
+
+    def restore(self, state: dict[str, NDArray]) -> None:
+        """Take up the state that `snapshot` gave."""
+        self.pairs.rows.condition.assign(state["condition"])
+        self.neighbors.restore(state)
+        self.coarse.restore(state)
+        # What sleeps must do nothing in any pass.
+        self.gradients.data.direction.zero_()
+
+
+def _reach(material: Material, time_step: float) -> float:
+    """How far clay carries motion in a substep [m]."""
+    wave = material.shear_modulus * time_step**2 / material.density
+    return math.sqrt(wave + material.viscosity * time_step / material.density)

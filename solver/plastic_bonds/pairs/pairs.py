@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The acting pairs of a scene and the passes over them."""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ...core.particles import Particles
+from ..law import Clay
+from . import (
+    products as pair_products,
+)
+from . import (
+    products_cpu as pair_products_cpu,
+)
+from . import (
+    rows as pair_rows,
+)
+from . import (
+    rows_cpu as pair_rows_cpu,
+)
+from .rows import MOST_SLOTS, PairRows
+
+_BY_SLOT = (
+    "direction_x",
+    "direction_y",
+    "direction_z",
+    "distance",
+    "distance_next",
+    "stiffness",
+    "slope",
+)
+
+
+@wp.kernel(enable_backward=False)
+def copy_rows(before: PairRows, after: PairRows) -> None:
+    """Carry neighbours and rest lengths over to another layout."""
+    i = wp.tid()
+    for e in range(after.listed[i]):
+        after.other[after.first[i] + e] = before.other[before.first[i] + e]
+        after.rest_length[after.first[i] + e] = before.rest_length[before.first[i] + e]
+
+
+@wp.kernel(enable_backward=False)
+def move_rows(
+    index: wp.array[int], first: wp.array[int], room: wp.array[int], pairs: PairRows
+) -> None:
+    """Move some rows to where there is more room."""
+    i = index[wp.tid()]
+    start = first[wp.tid()]
+    for e in range(pairs.listed[i]):
+        pairs.other[start + e] = pairs.other[pairs.first[i] + e]
+        pairs.rest_length[start + e] = pairs.rest_length[pairs.first[i] + e]
+    pairs.first[i] = start
+    pairs.room[i] = room[wp.tid()]
+
+
+def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Slots to give to rows: a little more than needed, so that they need not move often."""
+    return (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+
+
+class Pairs:
+    """The rows of neighbours and the passes over those that act.
+
+    Args:
+        particles: Whose pairs.
+    """
+
+    def __init__(self, particles: Particles) -> None:
+        self.particles = particles
+        count, device = particles.count, particles.device
+        rows = PairRows()
+        for name in ("first", "room", "listed", "acting"):
+            setattr(rows, name, wp.zeros(count, dtype=int, device=device))
+        rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
+        rows.resting = particles.resting
+        self.rows = rows
+        self.generation = 0
+        self._slots = self._used = 0
+        rows.other = wp.zeros(0, dtype=int, device=device)
+        rows.rest_length = wp.zeros(0, dtype=float, device=device)
+        self.lay_out(np.zeros(count, np.int32))
+        self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
+        self._passes = pair_rows_cpu if device.is_cpu else pair_rows
+        self._products = pair_products_cpu if device.is_cpu else pair_products
+        self._launch = particles.launch_blocks if device.is_cpu else particles.launch
+
+    def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
+        """Give some rows the room they need, behind all others while there is space.
+
+        Args:
+            short: Which rows are too short, shape [S].
+            needed: Slots for each particle, shape [N].
+        """
+        rows, device = self.rows, self.particles.device
+        room = _room_for(needed[short])
+        total = self._used + int(room.sum())
+        if total > self._slots:
+            self.lay_out(needed)
+            return
+        first = self._used + np.cumsum(room) - room
+        self._used = total
+        index = wp.array(short, dtype=int, device=device)
+        inputs = [
+            index,
+            wp.array(first, dtype=int, device=device),
+            wp.array(room, dtype=int, device=device),
+            rows,
+        ]
+        wp.launch(move_rows, dim=len(short), inputs=inputs, device=device)
+
+    def lay_out(self, needed: NDArray[np.int32]) -> None:
+        """Give every row as much room as it needs, and keep what is in the rows.
+
+        Args:
+            needed: Slots for each particle, shape [N].
+        """
+        rows, device = self.rows, self.particles.device
+        room = _room_for(needed)
+        first = np.cumsum(room) - room
+        before = PairRows()
+        before.first, before.other = wp.clone(rows.first), wp.clone(rows.other)
+        before.rest_length = wp.clone(rows.rest_length)
+        total = self._used = int(room.sum())
+        if total > self._slots:
+            # Recordings hold on to arrays: new ones should not be needed often.
+            self._slots = total + total // 3
+            rows.other = wp.zeros(self._slots, dtype=int, device=device)
+            for name in ("rest_length", *_BY_SLOT):
+                setattr(rows, name, wp.zeros(self._slots, dtype=float, device=device))
+            self.generation += 1
+        rows.first.assign(first.astype(np.int32))
+        rows.room.assign(room.astype(np.int32))
+        wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
+
+    def gather(self, clay: Clay, bodies: wp.array) -> None:
+        """Collect the pairs that act from here, and measure them at the present velocities."""
+        particles = self.particles
+        # The CPU's pass needs a list of the rows that it leaves to the plain one.
+        left = [self._left] if particles.device.is_cpu else []
+        self._launch(
+            self._passes.lay_pairs,
+            clay,
+            bodies,
+            particles.material,
+            particles.position,
+            particles.velocity,
+            self.rows,
+            *left,
+        )
+
+    def measure(self, clay: Clay, bodies: wp.array) -> None:
+        """Find lengths, volumes and stresses at the end of a substep with these velocities."""
+        particles = self.particles
+        self._launch(
+            self._passes.measure_pairs,
+            clay,
+            bodies,
+            particles.material,
+            particles.velocity,
+            self.rows,
+        )
+
+    def sum_forces(
+        self,
+        clay: Clay,
+        pair_laws: wp.array,
+        bodies: wp.array,
+        residual: wp.array,
+        diagonal: wp.array,
+    ) -> None:
+        """Residual impulse and tangent at the present velocities; `measure` comes first."""
+        particles = self.particles
+        self._launch(
+            self._passes.sum_forces,
+            clay,
+            pair_laws,
+            bodies,
+            particles.material,
+            particles.velocity_free,
+            particles.velocity,
+            self.rows,
+            residual,
+            diagonal,
+        )
+
+    def multiply(
+        self,
+        clay: Clay,
+        bodies: wp.array,
+        own_block: wp.array,
+        direction: wp.array,
+        product: wp.array,
+        curvature: wp.array,
+        iteration: int,
+    ) -> None:
+        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
+
+        Args:
+            clay: What all pairs share.
+            bodies: What particles of each material have of their own.
+            own_block: Mass and contacts alone [kg].
+            direction: What to multiply [m/s]; with room behind for how pressures change.
+            product: The product [N s].
+            curvature: Direction times product is added to it, by part and iteration [J].
+            iteration: Which.
+        """
+        particles = self.particles
+        self._launch(
+            self._products.press_pairs,
+            bodies,
+            particles.material,
+            clay.time_step,
+            self.rows,
+            direction,
+        )
+        self._launch(
+            self._products.multiply_pairs,
+            self.rows,
+            own_block,
+            direction,
+            product,
+            curvature,
+            iteration,
+        )
+
+    def flow(self, clay: Clay, pair_laws: wp.array) -> None:
+        """Write the rest lengths after flow, at the final velocities."""
+        particles = self.particles
+        self._launch(
+            self._passes.flow_pairs,
+            clay,
+            pair_laws,
+            particles.material,
+            particles.velocity,
+            self.rows,
+        )

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Multiplying a direction of search by the tangent of all pairs, without ever forming a matrix.
+
+First each compressed particle finds how the motion changes its pressure, then each particle gathers
+what bonds, dampers and pressures of its pairs answer.
+"""
+
+import warp as wp
+
+from ...core.awake import Awake, awake_particle
+from ..law import Body
+from .rows import COMPRESSION, PairRows, pair_direction
+
+
+@wp.func
+def motion(direction: wp.vec4) -> wp.vec3:
+    """The motion of a particle in a direction of search, without the change of its pressure."""
+    return wp.vec3(direction[0], direction[1], direction[2])
+
+
+@wp.kernel(enable_backward=False)
+def press_pairs(
+    awake: Awake,
+    bodies: wp.array[Body],
+    material: wp.array[int],
+    time_step: float,
+    pairs: PairRows,
+    direction: wp.array[wp.vec4],
+) -> None:
+    """How a motion changes the pressure of compressed particles; kept beside the motion."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    total = float(0.0)
+    p = direction[i]
+    if pairs.condition[i][COMPRESSION] > 0.0:
+        for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+            way = motion(p) - motion(direction[pairs.other[slot]])
+            total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), way)
+    p[3] = total * bodies[material[i]].pressure_stiffness * time_step * time_step
+    direction[i] = p
+
+
+@wp.kernel(enable_backward=False)
+def multiply_pairs(
+    awake: Awake,
+    pairs: PairRows,
+    own_block: wp.array[wp.mat33],
+    direction: wp.array[wp.vec4],
+    product: wp.array[wp.vec3],
+    curvature: wp.array2d[wp.float64],
+    iteration: int,
+) -> None:
+    """Multiply a direction by the tangent: mass, contacts, bonds and pressure."""
+    i = awake_particle(awake, wp.tid())
+    if i < 0:
+        return
+    p = motion(direction[i])
+    total = own_block[i] * p
+    own = direction[i][3]
+    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
+        j = pairs.other[slot]
+        n = pair_direction(pairs, slot)
+        closing = wp.dot(n, p - motion(direction[j]))
+        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + direction[j][3])
+        total += n * pull
+    product[i] = total
+    wp.atomic_add(curvature, awake.part, iteration, wp.float64(wp.dot(total, p)))

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From contacts on the skin of a soft hand to its ghosts and the nodes of its flesh, and back.
+
+A particle presses with its whole face: what it does is shared among the ghosts around the point
+of contact, nearest most, and by each ghost among the four nodes of the tetrahedron that carries it
+(Barreiro, Torres and Otaduy, WHC 2021, section III-D). Nothing is lost on the way: forces on ghosts
+and on nodes add up to those on the particles, turned round.
+"""
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..contact.law import ContactSlots
+from ..core.vector_units import OPTIONS
+from ..hand.rig import HandRig
+
+wp.set_module_options(OPTIONS)
+
+GHOST_REACH = 0.6
+"""How far around a contact ghosts feel it, in spacings: the face of a particle reaches so far."""
+_CHUNK = 256
+"""So many faces are compared with ghosts at a time."""
+
+
+@wp.struct
+class Skin:
+    """The skin of a hand, and the ghosts on it."""
+
+    collider: int
+    """Its place among all colliders."""
+    face: wp.array[wp.vec3i]
+    rest: wp.array[wp.vec3]
+    """Vertices at rest [m]."""
+    tetrahedron: wp.array[wp.vec4i]
+    """Nodes that carry each vertex."""
+    weight: wp.array[wp.vec4]
+    group: wp.array[int]
+    """Bone that each face belongs to."""
+    ghost_begin: wp.array[int]
+    """Where the ghosts around each face begin."""
+    ghost: wp.array[int]
+    """Ghosts around faces."""
+    ghost_rest: wp.array[wp.vec3]
+    """[m]"""
+    ghost_reach: float
+    """How far around a contact ghosts feel it [m]."""
+    ghost_tetrahedron: wp.array[wp.vec4i]
+    """Nodes that carry each ghost."""
+    ghost_weight: wp.array[wp.vec4]
+
+
+@wp.struct
+class HandForces:
+    """What clay does to a hand."""
+
+    impulse: wp.array[wp.vec3d]
+    """On each ghost in this step [N s]."""
+    load: wp.array[wp.vec3]
+    """On each node in the last substep [N]."""
+    touched: wp.array[int]
+    """Number of contacts in the last substep that push."""
+    deepest: wp.array[float]
+    """How far any ball lay inside in the last substep [m]."""
+
+
+@wp.kernel(enable_backward=False)
+def carry_skin(
+    skin: Skin,
+    position: wp.array[wp.vec3],
+    which: int,
+    points: wp.array[wp.vec3],
+    motion: wp.array[wp.vec3],
+    travel: wp.array[float],
+) -> None:
+    """Let nodes carry the skin, and note how far it goes."""
+    i = wp.tid()
+    corner = skin.tetrahedron[i]
+    weight = skin.weight[i]
+    x = wp.vec3()
+    for k in range(4):
+        x += position[corner[k]] * weight[k]
+    moved = x - points[i]
+    motion[i] = moved
+    points[i] = x
+    wp.atomic_max(travel, which, wp.length(moved))
+
+
+@wp.func
+def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
+    """A point on the skin at rest."""
+    corner = skin.face[face]
+    last = 1.0 - place[0] - place[1]
+    return (
+        skin.rest[corner[0]] * place[0]
+        + skin.rest[corner[1]] * place[1]
+        + skin.rest[corner[2]] * last
+    )
+
+
+@wp.func
+def ghost_share(skin: Skin, x: wp.vec3, ghost: int) -> float:
+    """How much of a contact a ghost feels, before shares are made to add up to one."""
+    return wp.max(1.0 - wp.length(skin.ghost_rest[ghost] - x) / skin.ghost_reach, 0.0)
+
+
+@wp.func
+def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
+    """Sum of the shares of the ghosts around a face: 0 where none is within reach."""
+    whole = float(0.0)
+    for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
+        whole += ghost_share(skin, x, skin.ghost[at])
+    return whole
+
+
+@wp.func
+def part_felt(skin: Skin, face: int, at: int, x: wp.vec3, whole: float) -> float:
+    """The part of a contact that a ghost feels; where none is within reach, the first does."""
+    if whole > 0.0:
+        return ghost_share(skin, x, skin.ghost[at]) / whole
+    return wp.where(at == skin.ghost_begin[face], 1.0, 0.0)
+
+
+@wp.func
+def force_of(
+    slots: ContactSlots, resting: wp.array[int], time_step: float, i: int, k: int
+) -> wp.vec3:
+    """Force of a contact on its particle [N]; those of sleeping particles are kept as forces."""
+    if resting[i] != 0:
+        return slots.impulse[i, k]
+    return slots.impulse[i, k] / time_step
+
+
+@wp.kernel(enable_backward=False)
+def gather_forces(
+    time_step: float,
+    reported: float,
+    resting: wp.array[int],
+    slots: ContactSlots,
+    skin: Skin,
+    forces: HandForces,
+) -> None:
+    """Pass the forces of a substep on to ghosts and nodes."""
+    i = wp.tid()
+    for k in range(slots.count[i]):
+        if slots.collider[i, k] == skin.collider:
+            force = -force_of(slots, resting, time_step, i, k)
+            wp.atomic_max(forces.deepest, 0, -slots.gap[i, k])
+            if wp.length_sq(force) > 0.0:
+                wp.atomic_add(forces.touched, 0, 1)
+                face = slots.face[i, k]
+                x = place_on_skin(skin, face, slots.place[i, k])
+                whole = whole_share(skin, face, x)
+                for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
+                    felt = part_felt(skin, face, at, x, whole)
+                    if felt > 0.0:
+                        ghost = skin.ghost[at]
+                        part = force * felt
+                        push = wp.vec3d(part * (time_step * reported))
+                        wp.atomic_add(forces.impulse, ghost, push)
+                        corner = skin.ghost_tetrahedron[ghost]
+                        weight = skin.ghost_weight[ghost]
+                        for c in range(4):
+                            wp.atomic_add(forces.load, corner[c], part * weight[c])
+
+
+def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> Skin:
+    """The skin of a rig, for clay of a particle spacing [m]."""
+    surface = np.flatnonzero(rig.ghost_areas > 0.0)
+    reach = max(GHOST_REACH * spacing, 1.01 * rig.ghost_spacing)
+    begin, ghosts = _ghosts_by_face(rig, surface, reach)
+    skin = Skin()
+    skin.collider = collider
+
+    def put(values: NDArray, dtype: object) -> wp.array:
+        return wp.array(values, dtype=dtype, device=device)
+
+    skin.face = put(rig.faces, wp.vec3i)
+    skin.rest = put(rig.vertices, wp.vec3)
+    skin.tetrahedron = put(rig.tetrahedra[rig.vertex_tetrahedron], wp.vec4i)
+    skin.weight = put(rig.vertex_weights, wp.vec4)
+    skin.group = put(_bone_of_faces(rig), int)
+    skin.ghost_begin, skin.ghost = put(begin, int), put(ghosts, int)
+    place = rig.carried_ghosts(rig.nodes)[surface]
+    skin.ghost_rest = put(place, wp.vec3)
+    skin.ghost_reach = reach
+    skin.ghost_tetrahedron = put(rig.tetrahedra[rig.ghost_tetrahedron[surface]], wp.vec4i)
+    skin.ghost_weight = put(rig.ghost_weights[surface], wp.vec4)
+    return skin
+
+
+def _bone_of_faces(rig: HandRig) -> NDArray[np.int32]:
+    """The bone that carries most of each face, shape [F]."""
+    shares = np.zeros((len(rig.nodes), len(rig.bone_names)))
+    np.add.at(shares, (np.arange(len(rig.nodes))[:, None], rig.node_bones), rig.node_weights)
+    corners = rig.tetrahedra[rig.vertex_tetrahedron]
+    of_vertices = np.einsum("vk,vkb->vb", rig.vertex_weights, shares[corners])
+    return of_vertices[rig.faces].sum(1).argmax(1).astype(np.int32)
+
+
+def _ghosts_by_face(
+    rig: HandRig, surface: NDArray[np.int64], reach: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Surface ghosts around each face, on its own side of the hand.
+
+    Returns:
+        Where the ghosts of each face begin, shape [F + 1], and the ghosts, by their place among
+        those on the surface.
+    """
+    place, normals = rig.carried_ghosts(rig.nodes)[surface], rig.ghost_normals[surface]
+    corners = rig.vertices[rig.faces]
+    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    low, high = corners.min(1) - reach, corners.max(1) + reach
+    # Along the hand first: few ghosts of the sorted ones lie beside a face.
+    along = int(np.ptp(place, axis=0).argmax())
+    order = np.argsort(place[:, along], kind="stable")
+    sorted_place = place[order, along]
+    begins = np.searchsorted(sorted_place, low[:, along], side="right")
+    counts = np.maximum(np.searchsorted(sorted_place, high[:, along], side="left") - begins, 0)
+    found = []
+    for first in range(0, len(corners), _CHUNK):
+        many = counts[first : first + _CHUNK]
+        face = np.repeat(np.arange(first, first + len(many)), many)
+        rank = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
+        ghost = order[begins[face] + rank]
+        for axis in {0, 1, 2} - {along}:
+            at = place[ghost, axis]
+            kept = (at > low[face, axis]) & (at < high[face, axis])
+            face, ghost = face[kept], ghost[kept]
+        kept = (normals[ghost] * outward[face]).sum(1) > 0.0
+        face, ghost = face[kept], ghost[kept]
+        kept = _distance_to_triangles(place[ghost], corners[face]) < reach
+        found.append(np.column_stack([face[kept], ghost[kept]]))
+    pairs = np.concatenate(found)
+    # Where none is in reach, the nearest of all.
+    for face in np.setdiff1d(np.arange(len(corners)), pairs[:, 0]):
+        every = np.broadcast_to(corners[face], (len(place), 3, 3))
+        nearest = _distance_to_triangles(place, every).argmin()
+        pairs = np.concatenate([pairs, [[face, nearest]]])
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    begin = np.searchsorted(pairs[:, 0], np.arange(len(corners) + 1))
+    return begin.astype(np.int32), pairs[:, 1].astype(np.int32)
+
+
+def _distance_to_triangles(
+    points: NDArray[np.float64], corners: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance of each point from its own triangle [m]; corners have shape [P, 3, 3]."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    nearest = np.full(len(points), np.inf)
+    inside = size > 0.0
+    for k in range(3):
+        start, axis = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        offset = points - start
+        along = (offset * axis).sum(1) / np.maximum((axis * axis).sum(1), 1e-30)
+        rest = offset - np.clip(along, 0.0, 1.0)[:, None] * axis
+        nearest = np.minimum(nearest, np.linalg.norm(rest, axis=1))
+        inside &= (np.cross(axis, offset) * normal).sum(1) >= 0.0
+    height = np.abs(((points - corners[:, 0]) * normal).sum(1)) / np.maximum(size, 1e-30)
+    return np.where(inside, height, nearest)

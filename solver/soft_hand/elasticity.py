@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The elasticity of flesh: stress, inner forces and tangent of tetrahedra on bones.
+
+Each tetrahedron is elastic about its own rotation (Müller and Gross, *Interactive Virtual
+Materials*, Graphics Interface 2004, doi 10.5555/1006058.1006087), which Müller et al., *A Robust
+Method to Extract the Rotational Part of Deformations*, Motion in Games 2016,
+doi 10.1145/2994258.2994269, find even where a tetrahedron is flat or turned inside out.
+"""
+
+import warp as wp
+
+from ..core.vector_units import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+ROTATION_STEPS = 8
+"""Steps towards a tetrahedron's rotation, from that of the bones around it, at most."""
+ROTATION_TOLERANCE = 1.0e-3
+"""It is found when a step turns it by less than twice this [rad]; the next would by its square."""
+STIFFENING_STRAIN = 0.3
+"""At this strain flesh is twice as stiff as at none: fibres that lay wavy pull straight. By a few
+newtons a fingertip goes flat, and then hardly gives any more."""
+
+
+@wp.struct
+class FleshData:
+    """Flesh on the device."""
+
+    lame: wp.vec2
+    """First Lamé parameter and shear modulus [Pa]."""
+    young_modulus: float
+    """[Pa]"""
+    longest_step: float
+    """What a node moves in a solve at most [m]."""
+    tetrahedron: wp.array[wp.vec4i]
+    gradient: wp.array2d[wp.vec3]
+    """Of shape functions at rest [1/m]; by tetrahedron and corner."""
+    volume: wp.array[float]
+    """Of each tetrahedron inside the skin [m³]."""
+    rest: wp.array[wp.vec3]
+    """Nodes at rest [m]."""
+    bone: wp.array[wp.vec4i]
+    """Bones that carry each node."""
+    weight: wp.array[wp.vec4]
+    bedding: wp.array[float]
+    """How stiffly bone holds nodes [N/m], by block."""
+    turn: wp.array[wp.mat44]
+    """World at present from world at rest, by bone."""
+    bone_frame: wp.array[wp.quat]
+    """How each bone is turned."""
+    position: wp.array[wp.vec3]
+    """Nodes [m]."""
+    carried: wp.array[wp.vec3]
+    """Where bones alone would carry each node [m]."""
+    frame: wp.array[wp.quat]
+    """How bones turn each node."""
+    inner: wp.array[wp.vec3]
+    """Force of flesh and bone on each node [N]."""
+    turned_gradient: wp.array2d[wp.vec3]
+    """Gradients turned by each tetrahedron's rotation [1/m]."""
+    traction: wp.array2d[wp.vec3]
+    """Stress before stiffening on each corner's turned gradient [Pa/m]."""
+    stiffening: wp.array[wp.vec2]
+    """By how much strain stiffens each tetrahedron, and how that grows with its energy [1/Pa]."""
+    row: wp.array[int]
+    """Where each node's blocks begin; the first is its own."""
+    column: wp.array[int]
+    """Node of each block."""
+    share: wp.array[int]
+    """Where the parts of each block begin."""
+    part: wp.array[wp.vec3i]
+    """Tetrahedron that a block gets a part from, and the two corners there."""
+    block: wp.array[wp.mat33]
+    """Tangent stiffness [N/m]."""
+    inverse: wp.array[wp.mat33]
+    """Of each node's own block [m/N]."""
+    touching: wp.array2d[wp.vec2i]
+    """Tetrahedra around each node, and its corner there; -1 behind the last."""
+
+
+@wp.kernel(enable_backward=False)
+def carry_nodes(flesh: FleshData) -> None:
+    """Let bones carry nodes, which keep their place in the frame that turns with the bones."""
+    i = wp.tid()
+    bone = flesh.bone[i]
+    weight = flesh.weight[i]
+    x = flesh.rest[i]
+    carried = wp.vec3()
+    blend = wp.quat(0.0, 0.0, 0.0, 0.0)
+    for k in range(4):
+        if weight[k] > 0.0:
+            carried += wp.transform_point(flesh.turn[bone[k]], x) * weight[k]
+            q = flesh.bone_frame[bone[k]]
+            side = wp.where(wp.dot(q, blend) < 0.0, -1.0, 1.0)
+            blend = blend + q * (side * weight[k])
+    frame = wp.normalize(blend)
+    turned = frame * wp.quat_inverse(flesh.frame[i])
+    flesh.position[i] = carried + wp.quat_rotate(turned, flesh.position[i] - flesh.carried[i])
+    flesh.inner[i] = wp.quat_rotate(turned, flesh.inner[i])
+    flesh.carried[i] = carried
+    flesh.frame[i] = frame
+
+
+@wp.func
+def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.mat33:
+    """Rotation of a deformation, from a guess nearby."""
+    q = start
+    r = wp.quat_to_matrix(q)
+    step = int(0)
+    while step < ROTATION_STEPS:
+        step += 1
+        product = deformation * wp.transpose(r)
+        half = wp.vec3(
+            product[2, 1] - product[1, 2],
+            product[0, 2] - product[2, 0],
+            product[1, 0] - product[0, 1],
+        ) * (0.5 / (wp.abs(wp.trace(product)) + 1.0e-9))
+        q = wp.normalize(wp.quat(half[0], half[1], half[2], 1.0) * q)
+        r = wp.quat_to_matrix(q)
+        if wp.length_sq(half) < ROTATION_TOLERANCE * ROTATION_TOLERANCE:
+            step = ROTATION_STEPS
+    return r
+
+
+@wp.kernel(enable_backward=False)
+def measure_stress(flesh: FleshData) -> None:
+    """Find each tetrahedron's rotation and stress."""
+    t = wp.tid()
+    corner = flesh.tetrahedron[t]
+    origin = flesh.position[corner[0]]
+    deformation = wp.mat33()
+    start = flesh.frame[corner[0]]
+    first = start
+    for k in range(1, 4):
+        deformation += wp.outer(flesh.position[corner[k]] - origin, flesh.gradient[t, k])
+        q = flesh.frame[corner[k]]
+        start = start + q * wp.where(wp.dot(q, first) < 0.0, -1.0, 1.0)
+    r = rotation_of(deformation, wp.normalize(start))
+    for k in range(4):
+        flesh.turned_gradient[t, k] = r * flesh.gradient[t, k]
+    stretch = wp.transpose(r) * deformation
+    strain = (stretch + wp.transpose(stretch)) * 0.5 - wp.identity(n=3, dtype=float)
+    lame = flesh.lame
+    stress = strain * (2.0 * lame[1]) + wp.identity(n=3, dtype=float) * (lame[0] * wp.trace(strain))
+    # Twice the energy over Young's modulus: the square of the strain, where stress is uniaxial.
+    square = wp.ddot(stress, strain) / flesh.young_modulus
+    grown = square / (STIFFENING_STRAIN * STIFFENING_STRAIN)
+    flesh.stiffening[t] = wp.vec2(
+        1.0 + grown * grown,
+        4.0 * grown / (STIFFENING_STRAIN * STIFFENING_STRAIN * flesh.young_modulus),
+    )
+    turned_stress = r * stress * wp.transpose(r)
+    for k in range(4):
+        flesh.traction[t, k] = turned_stress * flesh.turned_gradient[t, k]
+
+
+@wp.kernel(enable_backward=False)
+def sum_inner_forces(flesh: FleshData) -> None:
+    """Sum the forces of flesh and bone on each node."""
+    i = wp.tid()
+    force = wp.vec3()
+    for at in range(flesh.row[i], flesh.row[i + 1]):
+        j = flesh.column[at]
+        force += (flesh.carried[j] - flesh.position[j]) * flesh.bedding[at]
+    for k in range(flesh.touching.shape[1]):
+        corner = flesh.touching[i, k]
+        if corner[0] >= 0:
+            stiffening = flesh.stiffening[corner[0]]
+            force -= flesh.traction[corner[0], corner[1]] * (
+                flesh.volume[corner[0]] * stiffening[0]
+            )
+    flesh.inner[i] = force
+
+
+@wp.kernel(enable_backward=False)
+def assemble_tangent(flesh: FleshData) -> None:
+    """Sum up the blocks of each node's row."""
+    i = wp.tid()
+    own = wp.mat33()
+    lame = flesh.lame
+    begin = flesh.row[i]
+    for at in range(begin + 1, flesh.row[i + 1]):
+        block = wp.mat33()
+        for k in range(flesh.share[at], flesh.share[at + 1]):
+            part = flesh.part[k]
+            a = flesh.turned_gradient[part[0], part[1]]
+            b = flesh.turned_gradient[part[0], part[2]]
+            stiffening = flesh.stiffening[part[0]]
+            volume = flesh.volume[part[0]] * stiffening[0]
+            block += wp.outer(a, b) * (volume * lame[0]) + wp.outer(b, a) * (volume * lame[1])
+            block += wp.identity(n=3, dtype=float) * (volume * lame[1] * wp.dot(a, b))
+            block += wp.outer(
+                flesh.traction[part[0], part[1]], flesh.traction[part[0], part[2]]
+            ) * (flesh.volume[part[0]] * stiffening[1])
+        # Flesh that moves as a whole is not strained: the rows of its stiffness add up to zero.
+        own -= block
+        flesh.block[at] = block + wp.identity(n=3, dtype=float) * flesh.bedding[at]
+    own += wp.identity(n=3, dtype=float) * flesh.bedding[begin]
+    flesh.block[begin] = own
+    flesh.inverse[i] = wp.inverse(own)

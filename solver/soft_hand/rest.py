@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the flesh of a bound hand is made of: how much of each tetrahedron is skin-deep, and bone.
+
+Tetrahedra of a lattice stick out of the skin, and bones run through them. Both are integrated
+over sample points, so that stiffness does not depend on how the lattice lies or how fine it is:
+what is outside the skin counts as nothing (the finite cell method: Parvizian, Düster and Rank,
+Computational Mechanics 41, 2007, doi 10.1007/s00466-007-0173-y), and what is inside a bone is tied
+to where the bone carries it by an elastic bedding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ..hand.rig import HandRig
+
+SAMPLE_ORDER = 3
+"""Sample points of a tetrahedron lie on a lattice of this many steps along each edge."""
+BONE_SHARE = 0.5
+"""Bone reaches this far from its axis towards the skin."""
+BEDDING_LENGTH = 1.0e-3
+"""Depth to which flesh at a bone gives [m]: the bedding's stiffness is the modulus over its
+square."""
+BEDDING_CELLS = 0.133
+"""The same in cells of the lattice, if that is more. A tetrahedron that reaches from bone to skin
+strains evenly: held firmly at its one end it could not give at the other. With this, a fingertip
+gives the same to about a tenth, from one cell across it to four."""
+LEAST_SHARE = 0.1
+"""A tetrahedron outside the skin still counts this much, so that its nodes are carried along."""
+LEAF_REACH = 1.6
+"""A bone without children reaches this far from its head, over the distance of the middle of what
+it carries."""
+
+
+@dataclass(frozen=True)
+class FleshRest:
+    """The flesh at rest."""
+
+    gradients: NDArray[np.float64]
+    """Of the four shape functions of each tetrahedron [1/m], shape [T, 4, 3]."""
+    volumes: NDArray[np.float64]
+    """Volume of each tetrahedron inside the skin [m³], shape [T]."""
+    bone_shares: NDArray[np.float64]
+    """Products of each two shape functions integrated over the bone in each tetrahedron [m³],
+    shape [T, 4, 4]; they add up to the volume of the bones."""
+    bedding_length: float
+    """Depth to which flesh at a bone gives [m]."""
+
+
+def bone_axes(rig: HandRig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the axes of the bones begin and end.
+
+    A bone runs from its head to the head of each of its children. One without children runs
+    through the middle of the nodes that it carries.
+
+    Returns:
+        Starts and ends [m], shape [A, 3] each.
+    """
+    heads = rig.bone_rest[:, :3, 3]
+    starts, ends = [], []
+    parents = set(rig.bone_parent.tolist())
+    for bone, parent in enumerate(rig.bone_parent):
+        if parent >= 0:
+            starts.append(heads[parent])
+            ends.append(heads[bone])
+        if bone not in parents:
+            share = (rig.node_weights * (rig.node_bones == bone)).sum(1)
+            if share.sum() > 0.0:
+                middle = share @ rig.nodes / share.sum()
+                starts.append(heads[bone])
+                ends.append(heads[bone] + LEAF_REACH * (middle - heads[bone]))
+    return np.array(starts).reshape(-1, 3), np.array(ends).reshape(-1, 3)
+
+
+def rest_of(rig: HandRig) -> FleshRest:
+    """Measure the flesh of a rig in its rest pose."""
+    corners = rig.nodes[rig.tetrahedra]
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
+    inverse = np.linalg.inv(edges)
+    gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)
+    volumes = np.linalg.det(edges) / 6.0
+
+    weights = _sample_weights()
+    points = np.einsum("sk,tkd->tsd", weights, corners).reshape(-1, 3)
+    depth = _depth(rig, points)
+    starts, ends = bone_axes(rig)
+    away = _distance_to_axes(points, starts, ends)
+    inside = (depth > 0.0).reshape(len(volumes), -1)
+    bone = inside & (away * (1.0 - BONE_SHARE) < depth * BONE_SHARE).reshape(inside.shape)
+    products = np.einsum("sk,sl->skl", weights, weights) / len(weights)
+    bone_shares = np.einsum("t,ts,skl->tkl", volumes, bone.astype(float), products)
+    share = np.maximum(inside.mean(1), LEAST_SHARE)
+    # Twelve tetrahedra of a body-centred cubic lattice fill a cell.
+    cell = float(np.cbrt(12.0 * volumes.mean()))
+    bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)
+    return FleshRest(gradients, volumes * share, bone_shares, bedding_length)
+
+
+def _sample_weights() -> NDArray[np.float64]:
+    """Barycentric coordinates of the sample points, shape [S, 4]."""
+    steps = np.indices((SAMPLE_ORDER + 1,) * 3).reshape(3, -1).T
+    steps = steps[steps.sum(1) <= SAMPLE_ORDER]
+    steps = np.column_stack([SAMPLE_ORDER - steps.sum(1), steps])
+    return (steps.astype(np.float64) + 0.25) / (SAMPLE_ORDER + 1.0)
+
+
+@wp.kernel(enable_backward=False)
+def measure_depth(
+    mesh: wp.uint64, reach: float, points: wp.array[wp.vec3], depth: wp.array[float]
+) -> None:
+    """Find how deep points lie under the skin; negative outside."""
+    i = wp.tid()
+    query = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach)
+    depth[i] = -reach
+    if query.result:
+        nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        depth[i] = -query.sign * wp.length(points[i] - nearest)
+
+
+def _depth(rig: HandRig, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Depth of points under the skin [m], negative outside, shape [P]."""
+    # About their middle, where float32 resolves them best.
+    middle = rig.vertices.mean(0)
+    skin = wp.Mesh(
+        points=wp.array(rig.vertices - middle, dtype=wp.vec3, device="cpu"),
+        indices=wp.array(rig.faces.ravel(), dtype=int, device="cpu"),
+        support_winding_number=True,
+    )
+    reach = float(np.linalg.norm(np.ptp(np.concatenate([rig.vertices, rig.nodes]), axis=0)))
+    depth = wp.zeros(len(points), dtype=float, device="cpu")
+    places = wp.array(points - middle, dtype=wp.vec3, device="cpu")
+    inputs = [skin.id, reach, places, depth]
+    wp.launch(measure_depth, dim=len(points), inputs=inputs, device="cpu")
+    return depth.numpy().astype(float)
+
+
+def _distance_to_axes(
+    points: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distance of points to the nearest bone's axis [m], shape [P]."""
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(starts, ends, strict=True):
+        axis = end - start
+        offset = points - start
+        along = np.clip(offset @ axis / max(float(axis @ axis), 1e-18), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(offset - along[:, None] * axis, axis=1))
+    return nearest

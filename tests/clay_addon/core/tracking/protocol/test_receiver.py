@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The receiver: loopback alone, never waiting, never raising."""
+
+import random
+import socket
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tactile_clay.clay_addon.core.tracking import TrackingError
+from tactile_clay.clay_addon.core.tracking.hand.hand_tracker import HandTracker
+from tactile_clay.clay_addon.core.tracking.protocol.packet import PACKET_SIZE, encode
+from tactile_clay.clay_addon.core.tracking.protocol.receiver import Receiver
+from tactile_clay.tests.clay_addon.core.tracking.hands import MILLISECOND, Clock, frame_at, shown
+
+
+@pytest.fixture
+def wire(receiver: Receiver) -> Iterator[socket.socket]:
+    """A socket that sends to the receiver."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
+        wire.connect(receiver.address)
+        yield wire
+
+
+def packet(number: int, side: str = "right", **options) -> bytes:
+    """A datagram of a hand."""
+    return encode(frame_at(number * MILLISECOND, number, side, **options))
+
+
+def test_it_listens_on_loopback_alone(receiver: Receiver) -> None:
+    """Bind to 127.0.0.1, and hear nothing that is sent to another address of this machine."""
+    host, port = receiver.address
+    assert host == "127.0.0.1"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
+        wire.sendto(packet(1), ("127.0.0.2", port))
+    assert receiver.drain() == []
+    assert receiver.rejected == 0
+
+
+def test_nothing_there_is_no_wait(receiver: Receiver) -> None:
+    """Return at once with nothing."""
+    assert receiver.drain() == []
+
+
+def test_news_come_in_order(receiver: Receiver, wire: socket.socket) -> None:
+    """Return each hand's frames ascending, without what is old or double."""
+    for number in (1, 3, 2, 3, 4):
+        wire.send(packet(number))
+        wire.send(packet(number, "left"))
+    arrivals = receiver.drain()
+    for side in ("left", "right"):
+        assert [a.frame.sequence for a in arrivals if a.frame.side == side] == [1, 3, 4]
+    assert (receiver.accepted, receiver.dropped, receiver.rejected) == (6, 4, 0)
+    assert receiver.source == "leap"
+
+
+def test_flood_is_survived(receiver: Receiver, wire: socket.socket) -> None:
+    """Look at a bounded number at a time, and find the hand again after 10,000 datagrams."""
+    noise = random.Random(7)
+    for number in range(10_000):
+        if number % 3:
+            wire.send(noise.randbytes(noise.choice((1, 100, PACKET_SIZE, 1400))))
+        else:
+            wire.send(packet(number))
+    first = receiver.drain()
+    assert len(first) + receiver.dropped + receiver.rejected <= 1024
+    while receiver.drain():
+        pass
+    wire.send(packet(20_000))
+    (arrival,) = receiver.drain()
+    assert arrival.frame.sequence == 20_000
+
+
+def test_what_is_no_hand_is_counted_by_its_reason(receiver: Receiver, wire: socket.socket) -> None:
+    """Count short, long, foreign and broken datagrams, and raise nothing."""
+    broken = bytearray(packet(1))
+    broken[40:44] = np.float32(np.nan).tobytes()
+    wrong = bytearray(packet(1))
+    wrong[:4] = b"HAND"
+    for data in (b"", b"x", packet(1)[:-1], packet(1) + b"x", bytes(broken), bytes(wrong)):
+        wire.send(data)
+    assert receiver.drain() == []
+    assert receiver.rejected == 6
+    assert receiver.reasons == {
+        "wrong length": 4,
+        "values that are not finite": 1,
+        "wrong magic": 1,
+    }
+
+
+mutations = st.lists(
+    st.tuples(st.integers(0, PACKET_SIZE - 1), st.integers(0, 255)), max_size=6
+).map(dict)
+
+
+@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(mutations, st.integers(0, PACKET_SIZE)), max_size=20))
+def test_mangled_datagrams_never_raise(receiver: Receiver, wire: socket.socket, datagrams) -> None:
+    """Give finite hands or nothing, whatever happens to datagrams on their way."""
+    tracker = HandTracker()
+    for number, (changes, cut) in enumerate(datagrams):
+        data = bytearray(packet(number))
+        for place, value in changes.items():
+            data[place] = value
+        wire.send(data[:cut] if number % 3 == 0 else data)
+    for arrival in receiver.drain():
+        tracker.take(arrival.frame, arrival.seen)
+        hand = tracker.hand(arrival.frame.side, arrival.seen)
+        assert hand is None or np.isfinite(hand.positions).all()
+
+
+def test_stalled_receiver_shows_no_stale_hand(clock: Clock) -> None:
+    """Call a hand lost that was seen before Blender stalled, though its datagrams wait there."""
+    with Receiver(0, clock=clock) as receiver, socket.socket(type=socket.SOCK_DGRAM) as wire:
+        wire.connect(receiver.address)
+        tracker = HandTracker()
+
+        def send(count: int) -> None:
+            for _ in range(count):
+                number = clock.turn(10) // (10 * MILLISECOND)
+                place = (1e-5 * (number % 100), 0.2, 0.0)
+                wire.send(encode(frame_at(clock.now, number, at=place)))
+
+        def look() -> str:
+            for arrival in receiver.drain():
+                tracker.take(arrival.frame, arrival.seen)
+            return shown(tracker.hand("right", clock.now)).state
+
+        for _ in range(10):
+            send(2)
+            state = look()
+        assert state == "live"
+        send(10)
+        clock.turn(3000)
+        assert look() == "lost"
+        send(2)
+        assert look() == "live"
+
+
+def test_rate_and_latency_are_told(clock: Clock) -> None:
+    """Tell frames a second, and the delay where the clocks are the same."""
+    with Receiver(0, clock=clock) as receiver, socket.socket(type=socket.SOCK_DGRAM) as wire:
+        wire.connect(receiver.address)
+        assert receiver.latency("right") is None
+        for number in range(150):
+            wire.send(encode(frame_at(clock.now - 7 * MILLISECOND, number)))
+            receiver.drain()
+            clock.turn(10)
+        assert receiver.rate("right") == pytest.approx(100.0, abs=1.0)
+        assert receiver.rate("left") == 0.0
+        assert receiver.latency("right") == pytest.approx(0.007)
+        wire.send(encode(frame_at(1 << 61, 1000)))
+        receiver.drain()
+        assert receiver.latency("right") is None
+
+
+def test_port_in_use_is_explained(receiver: Receiver) -> None:
+    """Say that another Blender has the port, and what to do."""
+    with pytest.raises(TrackingError, match=r"in use: another Blender.*another port"):
+        Receiver(receiver.address[1])
+    with pytest.raises(TrackingError, match="cannot be opened"):
+        Receiver(70_000)
+
+
+def test_closed_receiver_gives_nothing(receiver: Receiver) -> None:
+    """Close twice and drain without an error."""
+    receiver.close()
+    receiver.close()
+    assert receiver.drain() == []

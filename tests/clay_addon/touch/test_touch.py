@@ -1,0 +1,417 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Touch in Blender: the array object, the connection, what is recorded, and what is drawn."""
+
+import importlib.util
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+import numpy as np
+import pytest
+from mathutils import Matrix, Vector
+
+import tactile_clay.haptics
+from tactile_clay.clay_addon.bake.bake import bake
+from tactile_clay.clay_addon.core.storage.cache import Cache, CacheDamagedError, CacheMissingError
+from tactile_clay.clay_addon.core.storage.foci import FociFrame, read_foci, write_foci
+from tactile_clay.clay_addon.touch import (
+    overlay as touch_overlay,
+)
+from tactile_clay.clay_addon.touch import (
+    panel as touch_panel,
+)
+from tactile_clay.clay_addon.touch import (
+    record as touch_record,
+)
+from tactile_clay.clay_addon.touch import (
+    touch,
+)
+from tactile_clay.clay_addon.touch.array import TouchArrayError, placed_array
+from tactile_clay.clay_addon.touch.operators import field_picture
+from tactile_clay.clay_addon.touch.properties import device_name
+from tactile_clay.haptics import TransducerArray, acoustic_field
+from tactile_clay.haptics.foci.pipeline import TouchFrame
+from tactile_clay.tests.clay_addon.test_panel import Layout
+
+PATIENCE = 20.0
+PIXELS = 128
+
+
+def frame_at(height: float, pressure: float = 800.0) -> TouchFrame:
+    """Two focal points over the origin, and some skin about them."""
+    side = np.linspace(-0.04, 0.04, 21)
+    skin = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+    skin = np.column_stack((skin, np.full(len(skin), height)))
+    points = np.array(((-0.02, 0.0, height), (0.02, 0.01, height)))
+    away = np.square(skin[:, None] - points).sum(2).min(1)
+    felt = pressure * np.exp(-0.5 * away / 0.00865**2)
+    return TouchFrame(points, np.array((pressure, 0.6 * pressure)), 0.00865, skin, felt, felt)
+
+
+def add_array(preset: str = "sonicsurface") -> Any:
+    """Add an array at the 3D cursor."""
+    assert bpy.ops.clay.array_add(preset=preset) == {"FINISHED"}
+    return bpy.context.object
+
+
+def feel_until(scene: Any, frame: TouchFrame, until: Any, what: str) -> None:
+    """Feel the same frame at a live scene's pace until something holds."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        touch.feel(scene, frame)
+        if until():
+            return
+        time.sleep(1 / 60)
+    raise AssertionError(f"{what} did not happen; the server says {touch.status}")
+
+
+def test_an_array_is_an_object_of_its_own_size(studio: Any) -> None:
+    """Lay out 256 discs of the right size and place, whatever a Blender unit is."""
+    studio.scene.unit_settings.scale_length = 0.01
+    item = add_array()
+    assert studio.scene.tactile_touch.array == item
+    assert item.hide_render
+    places = np.array([vertex.co for vertex in item.data.vertices])[: 256 * 12].reshape(256, 12, 3)
+    array = TransducerArray.preset("sonicsurface")
+    assert places.mean(axis=1) * 0.01 == pytest.approx(array.positions, abs=1e-6)
+    assert len(item.data.polygons) == 256
+
+
+def test_the_object_is_where_the_sound_comes_from(studio: Any) -> None:
+    """Take place and turn from the object, in metres, and refuse one that is scaled."""
+    assert placed_array(studio.scene) is None
+    studio.scene.unit_settings.scale_length = 0.5
+    item = add_array("openmpd")
+    item.matrix_world = Matrix.Translation((1.0, 0.0, 2.0)) @ Matrix.Rotation(np.pi / 2, 4, "Y")
+    bpy.context.view_layer.update()
+    array = placed_array(studio.scene)
+    assert array is not None
+    assert array.position == pytest.approx((0.5, 0.0, 1.0))
+    assert array.normal == pytest.approx((1.0, 0.0, 0.0), abs=1e-6)
+    item.scale = (2.0, 1.0, 1.0)
+    bpy.context.view_layer.update()
+    with pytest.raises(TouchArrayError, match="Clear the scale"):
+        placed_array(studio.scene)
+
+
+def test_devices_are_named_as_the_server_reads_them(studio: Any) -> None:
+    """Write kind, address and options in one word."""
+    properties = studio.scene.tactile_touch
+    assert device_name(properties) == "simulated"
+    add_array("autd3")
+    assert device_name(properties) == "simulated:autd3"
+    properties.kind, properties.port, properties.firmware = "SONICSURFACE", "/dev/tty1", "tactile"
+    assert device_name(properties) == "sonicsurface:/dev/tty1,firmware=tactile"
+    properties.kind, properties.board = "ULTRAINO", "fpga"
+    assert device_name(properties) == "ultraino:/dev/tty1,board=fpga"
+    properties.kind, properties.board_file = "OPENMPD", "/tmp/board_1.pat"
+    assert device_name(properties) == "openmpd:/tmp/board_1.pat"
+    properties.kind = "AUTD3"
+    assert device_name(properties) == "autd3:"
+
+
+def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> None:
+    """Connect, hold the pressures asked for in the array's own place, and be silent afterwards."""
+    item = add_array("openmpd")
+    item.location = (0.3, -0.2, 0.1)
+    bpy.context.view_layer.update()
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    assert touch.client is not None
+    near = frame_at(0.25)
+    away = np.array((0.3, -0.2, 0.0))
+    near = TouchFrame(near.positions + away, near.pressures, near.sigma)
+
+    drives = []
+
+    def sounds() -> bool:
+        assert touch.client
+        drives.append(touch.client.drive())
+        return bool(touch.status and touch.status.foci == 2 and drives[-1].any())
+
+    feel_until(studio.scene, near, sounds, "sound")
+    drive = drives[-1]
+    array = placed_array(studio.scene)
+    assert array is not None
+    heard = np.abs(acoustic_field(array, drive, near.positions))
+    assert heard / near.pressures == pytest.approx(1.0, abs=0.05)
+    assert "2 focal points" in touch_panel.status_lines()[0][0]
+    process = touch.client.process
+    assert process is not None
+    assert bpy.ops.clay.touch_disconnect() == {"FINISHED"}
+    assert process.returncode == 0
+    assert touch.client is None
+
+
+def test_opening_another_file_and_unregistering_let_go(studio: Any) -> None:
+    """End the server with the file, and with the add-on."""
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    first = touch.client.process if touch.client else None
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert touch.client is None
+    assert first is not None
+    assert first.returncode == 0
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    second = touch.client.process if touch.client else None  # type: ignore[unreachable]
+    tactile_clay.unregister()
+    tactile_clay.register()
+    assert second is not None
+    assert second.returncode == 0
+
+
+def test_a_server_that_was_started_by_hand_is_used_and_left_running(studio: Any) -> None:
+    """Connect to a port, and leave the server silent and alive."""
+    properties = studio.scene.tactile_touch
+    properties.kind, properties.server_port = "SERVER", 9
+    assert "No array server answers at port 9" in studio.refused(bpy.ops.clay.touch_connect)
+    assert touch.client is None
+    command = "from tactile_clay.clay_addon.command.line import run; run()"
+    words = ["array-server", "simulated:openmpd", "--port", "0"]
+    with subprocess.Popen(
+        [sys.executable, "-c", command, *words], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout
+        properties.server_port = int(process.stdout.readline().rsplit(":", 1)[1])
+        add_array("openmpd")
+        for _ in range(2):
+            assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+            feel_until(
+                studio.scene,
+                frame_at(0.2),
+                lambda: touch.status and touch.status.foci == 2,
+                "sound",
+            )
+            touch.disconnect()
+            assert process.poll() is None
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
+
+
+def test_a_device_that_cannot_be_is_told(studio: Any) -> None:
+    """Report what the server says, and stay unconnected."""
+    properties = studio.scene.tactile_touch
+    properties.kind = "OPENMPD"
+    assert "board_N.pat" in studio.refused(bpy.ops.clay.touch_connect)
+    assert touch.client is None
+
+
+def test_missing_packages_are_a_notice_only(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say in the panel what a device needs, and refuse to connect without it."""
+    studio.scene.tactile_touch.kind = "SONICSURFACE"
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert "pyserial is missing" in drawn()
+    assert "pyserial is missing" in studio.refused(bpy.ops.clay.touch_connect)
+    studio.scene.tactile_touch.kind = "AUTD3"
+    assert "choose Running Server" in drawn()
+    studio.scene.tactile_touch.kind = "SIMULATED"
+    assert "missing" not in drawn()
+
+
+def drawn() -> str:
+    """Draw the panel and return its texts."""
+    layout = Layout([])
+    draw: Any = touch_panel.CLAY_PT_touch.draw
+    draw(SimpleNamespace(layout=layout), bpy.context)
+    return " ".join(layout.texts)
+
+
+STATUS = {"heard": True, "connected": True}
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        ({}, "Waiting for the server"),
+        ({"fault": "The array server has ended."}, "has ended"),
+        ({"heard": True, "fault": "No such port."}, "Not connected"),
+        ({"heard": True, "emitting": True}, "switch its power off"),
+        (STATUS, "Connected and silent"),
+        (
+            STATUS | {"emitting": True, "foci": 1, "latency": 0.0123},
+            "1 focal point, 0 frames/s, latency 12",
+        ),
+        (STATUS | {"outside": 3}, "3 focal points out of"),
+        (STATUS | {"dropped": 4}, "4 frames dropped"),
+    ],
+)
+def test_the_panel_tells_how_it_goes(
+    studio: Any, monkeypatch: pytest.MonkeyPatch, status: dict, said: str
+) -> None:
+    """Tell what the server says in the user's words."""
+    from tactile_clay.haptics import ArrayStatus
+
+    monkeypatch.setattr(touch, "client", SimpleNamespace(close=lambda: None))
+    monkeypatch.setattr(touch, "status", ArrayStatus(**status))
+    assert said in drawn()
+
+
+def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> None:
+    """Write, read, list and free them with the frames, and refuse damaged ones."""
+    studio.falling_block(tmp_path, end=2)
+    result = bake(bpy.context)
+    cache = Cache(result.directory)
+    before = cache.size()
+    frame = frame_at(0.2)
+    touch_record.record_touch(cache, 2, frame, cache.meta(), scale=0.5)
+    assert cache.foci_frames() == [2]
+    assert cache.size() > before
+    kept = touch_record.recorded_touch(cache, 2, scale=0.5)
+    assert kept.positions == pytest.approx(frame.positions, abs=1e-7)
+    assert kept.pressures == pytest.approx(frame.pressures)
+    assert kept.sigma == pytest.approx(frame.sigma)
+    with pytest.raises(CacheMissingError):
+        read_foci(cache.directory, 1, cache.meta())
+    path = cache.directory / "foci_000002.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(CacheDamagedError):
+        read_foci(cache.directory, 2, cache.meta())
+    bad = FociFrame(2, np.full((1, 3), np.nan, np.float32), np.ones(1, np.float32), 0.01)
+    write_foci(cache.directory, bad, cache.meta())
+    with pytest.raises(CacheDamagedError, match="not finite"):
+        read_foci(cache.directory, 2, cache.meta())
+    cache.free()
+    assert not path.exists()
+
+
+def test_a_recorded_session_is_felt_again(studio: Any, tmp_path: Path) -> None:
+    """Send what was recorded as the frames go by, without simulating."""
+    studio.falling_block(tmp_path, end=3)
+    add_array("openmpd")
+    cache = Cache(bake(bpy.context).directory)
+    for number, height in ((1, 0.2), (2, 0.25)):
+        touch_record.record_touch(cache, number, frame_at(height), cache.meta(), scale=1.0)
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    end = time.monotonic() + PATIENCE
+    while not (touch.status and touch.status.emitting) and time.monotonic() < end:
+        for number in (2, 1):
+            studio.scene.frame_set(number)
+            time.sleep(0.01)
+    assert touch.status
+    assert touch.status.foci == 2
+    assert touch.shown is not None
+    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    touch_record.pause_replay(True)
+    studio.scene.frame_set(2)
+    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    touch_record.pause_replay(False)
+    studio.scene.frame_set(3)
+    assert touch.shown is None
+
+
+def test_a_picture_of_the_field_lies_in_the_plane_of_the_palm(studio: Any) -> None:
+    """Paint an image that is brightest at the strongest focal point, where the skin is."""
+    assert "no array" in studio.refused(bpy.ops.clay.touch_picture)
+    add_array("openmpd")
+    assert "Nothing is felt" in studio.refused(bpy.ops.clay.touch_picture)
+    frame = frame_at(0.2)
+    touch.show(frame)
+    item = field_picture(studio.scene)
+    bpy.context.view_layer.update()
+    pixels = np.empty(PIXELS * PIXELS * 4, np.float32)
+    item.data.pixels.foreach_get(pixels)
+    bright = pixels.reshape(PIXELS, PIXELS, 4)[:, :, :3].sum(2)
+    row, column = np.unravel_index(np.argmax(bright), bright.shape)
+    local = (np.array((column, row)) + 0.5) / PIXELS - 0.5
+    place = item.matrix_world @ Vector((*(0.16 * local), 0.0))
+    assert tuple(place) == pytest.approx(frame.positions[0], abs=0.004)
+    assert 700.0 < item.data["largest_pressure"] < 1100.0
+    assert bpy.ops.clay.touch_picture() == {"FINISHED"}
+
+
+def test_a_frame_without_an_array_is_none(studio: Any) -> None:
+    """Feel nothing where the scene has no array."""
+    assert touch.touch_frame(studio.scene, []) is None
+    assert touch.shown is None
+
+
+@pytest.mark.skipif(
+    not hasattr(tactile_clay.haptics, "PressureField"), reason="there is no pressure field yet"
+)
+def test_contacts_become_focal_points(studio: Any) -> None:
+    """Put focal points where a palm is pressed, none above the ceiling, and forget at rest."""
+    from tactile_clay.tests.bench.touch_latency import palm_contacts
+
+    add_array("openmpd")
+    studio.scene.tactile_touch.ceiling = 600.0
+    studio.scene.tactile_touch.focus_count = 4
+    for number in range(5):
+        frame = touch.touch_frame(studio.scene, [palm_contacts(number)], dt=1 / 60)
+    assert frame is not None
+    assert 1 <= len(frame.positions) <= 4
+    assert frame.pressures.max() <= 600.0
+    assert np.hypot(*frame.positions[:, :2].T).max() < 0.06
+    assert frame.reconstructed is not None
+    assert touch.shown is frame
+    kept = touch.touch_frame(studio.scene, [palm_contacts(5)], dt=1 / 60, send=False)
+    assert touch.shown is kept
+    touch.rest()
+    assert touch.shown is None
+
+
+def test_the_overlay_is_left_out_in_the_background() -> None:
+    """Add no draw handler where there is no 3D view."""
+    assert bpy.app.background
+    touch_overlay.register()
+    assert touch_overlay._handle is None
+    touch_overlay.unregister()
+
+
+def test_rings_are_as_large_as_focal_points() -> None:
+    """Draw a ring of one sigma about each focal point, across the sound."""
+    frame = frame_at(0.2)
+    lines, triangles = touch_overlay.focus_rings(frame, np.array((0.0, 0.0, 1.0)))
+    for ring, place in zip(lines, frame.positions, strict=True):
+        assert np.linalg.norm(ring - place, axis=1) == pytest.approx(frame.sigma, rel=1e-4)
+        assert ring[:, 2] == pytest.approx(place[2])
+    assert triangles.shape == (2, 96, 3)
+
+
+DRAW = """
+import os, sys
+import bpy, gpu
+import numpy as np
+try:
+    gpu.init()
+    screen = gpu.types.GPUOffScreen(64, 64)
+except (AttributeError, RuntimeError, SystemError) as error:
+    print("no GPU:", error)
+    sys.stdout.flush()
+    os._exit(0)
+from mathutils import Matrix
+from tactile_clay.clay_addon.touch import overlay as touch_overlay
+from tactile_clay.haptics.foci.pipeline import TouchFrame
+side = np.linspace(-0.4, 0.4, 40)
+skin = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
+skin = np.column_stack((skin, np.full(len(skin), 0.3)))
+felt = np.where(skin[:, 0] < 0.0, 1000.0, 0.0)
+frame = TouchFrame(np.array(((0.5, 0.5, 0.0),)), np.array((500.0,)), 0.2, skin, felt, felt)
+with screen.bind():
+    buffer = gpu.state.active_framebuffer_get()
+    buffer.clear(color=(0, 0, 0, 1), depth=1.0)
+    with gpu.matrix.push_pop():
+        gpu.matrix.load_matrix(Matrix.Identity(4))
+        gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+        touch_overlay.draw_frame(frame, np.array((0.0, 0.0, 1.0)), scale=1.0, ceiling=1000.0)
+    read = buffer.read_color(0, 0, 64, 64, 4, 0, "UBYTE")
+    read.dimensions = 64 * 64 * 4
+    pixels = np.array(read, np.uint8).reshape(64, 64, 4)[:, :, :3].sum(2)
+left, right, ring = pixels[20:44, 20:31], pixels[20:44, 36:42], pixels[46:50, 46:50]
+print("drawn:", left.mean() > 200, right.max() == 0, ring.min() > 50, pixels[:8, :8].max() == 0)
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_the_overlay_draws_pressed_skin_and_focal_points() -> None:
+    """Draw pressed skin brightly, untouched skin not at all, and a disc at a focal point."""
+    result = subprocess.run(
+        [sys.executable, "-c", DRAW], capture_output=True, text=True, timeout=120
+    )
+    if "drawn" not in result.stdout:
+        assert "no GPU" in result.stdout, result.stderr
+        pytest.skip(result.stdout.strip())
+    assert "drawn: True True True True" in result.stdout

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Datagrams: what is written is read again, and nothing else is read at all."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tactile_clay.haptics.protocol.datagram import (
+    HEAD_SIZE,
+    MAXIMUM_FOCI,
+    DatagramError,
+    Kind,
+    Modulation,
+    decode,
+    encode,
+)
+
+rows = hnp.arrays(
+    np.float32,
+    st.tuples(st.integers(0, MAXIMUM_FOCI), st.just(4)),
+    elements=st.floats(width=32, allow_nan=True, allow_infinity=True),
+)
+
+
+@given(
+    rows,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**64 - 1),
+    st.floats(0.0, 1e9),
+    st.sampled_from(Modulation),
+)
+def test_focal_points_come_through(
+    table: np.ndarray, session: int, sequence: int, time: float, modulation: Modulation
+) -> None:
+    """Read back exactly what was written, whatever the numbers are."""
+    data = encode(
+        Kind.FOCI,
+        session=session,
+        sequence=sequence,
+        time=time,
+        modulation=modulation,
+        positions=table[:, :3],
+        pressures=table[:, 3],
+    )
+    read = decode(data)
+    assert (read.kind, read.session, read.sequence) == (Kind.FOCI, session, sequence)
+    assert read.modulation is modulation
+    assert read.time == pytest.approx(time, abs=1e-6)
+    assert np.array_equal(read.positions, table[:, :3], equal_nan=True)
+    assert np.array_equal(read.pressures, table[:, 3], equal_nan=True)
+
+
+@given(st.dictionaries(st.text(), st.one_of(st.none(), st.booleans(), st.integers(), st.text())))
+def test_tables_come_through(table: dict) -> None:
+    """Read back a table of a status."""
+    assert decode(encode(Kind.STATUS, session=1, sequence=2, time=3.0, table=table)).table == table
+
+
+@given(st.binary(max_size=300))
+def test_noise_is_refused(data: bytes) -> None:
+    """Refuse bytes that happen to come, with an error of its own and no other."""
+    with pytest.raises(DatagramError):
+        decode(data)
+
+
+@given(st.data())
+def test_any_change_is_refused(data: st.DataObject) -> None:
+    """Refuse a datagram with one bit turned, cut short or made longer."""
+    whole = encode(
+        Kind.FOCI,
+        session=7,
+        sequence=9,
+        time=1.0,
+        positions=np.full((2, 3), 0.1),
+        pressures=np.array((900.0, 500.0)),
+    )
+    changed = bytearray(whole)
+    bit = data.draw(st.integers(0, 8 * len(whole) - 1))
+    changed[bit // 8] ^= 1 << (bit % 8)
+    for bad in (
+        bytes(changed),
+        whole[: data.draw(st.integers(0, len(whole) - 1))],
+        whole + data.draw(st.binary(min_size=1, max_size=40)),
+    ):
+        with pytest.raises(DatagramError):
+            decode(bad)
+
+
+def forged(head: tuple[int, ...], body: bytes) -> bytes:
+    """A datagram with a right checksum and a head of one's own."""
+    data = struct.pack("<4sBBBBIIQQ", b"TCFP", *head) + body
+    return data + struct.pack("<I", zlib.crc32(data))
+
+
+@given(
+    st.tuples(
+        st.just(1),
+        st.integers(0, 255),
+        st.integers(0, 255),
+        st.integers(0, 255),
+        st.integers(0, 2**32 - 1),
+        st.integers(0, 2**32 - 1),
+        st.integers(0, 2**64 - 1),
+        st.integers(0, 2**64 - 1),
+    ),
+    st.binary(max_size=64),
+)
+def test_a_right_checksum_is_not_enough(head: tuple[int, ...], body: bytes) -> None:
+    """Read no more than what is there, however the head is forged."""
+    try:
+        read = decode(forged(head, body))
+    except DatagramError:
+        return
+    assert len(read.positions) * 16 == len(body) or read.table is not None or not body
+    assert len(read.positions) == len(read.pressures) <= MAXIMUM_FOCI
+
+
+def test_what_cannot_be_sent_is_named() -> None:
+    """Say what is wrong with focal points before they are sent."""
+    with pytest.raises(ValueError, match="more than 64"):
+        encode(
+            Kind.FOCI,
+            session=0,
+            sequence=0,
+            time=0.0,
+            positions=np.zeros((65, 3)),
+            pressures=np.zeros(65),
+        )
+    with pytest.raises(ValueError, match=r"\[K, 3\]"):
+        encode(Kind.FOCI, session=0, sequence=0, time=0.0, positions=np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="too long"):
+        encode(Kind.STATUS, session=0, sequence=0, time=0.0, table={"a": "x" * 70000})
+
+
+def test_the_format_stays_as_it_is() -> None:
+    """Keep the bytes that a bridge in another language reads."""
+    data = encode(
+        Kind.FOCI,
+        session=0x01020304,
+        sequence=5,
+        time=2.0,
+        modulation=Modulation.NONE,
+        positions=np.array(((1.0, 2.0, 3.0),)),
+        pressures=np.array((4.0,)),
+    )
+    assert HEAD_SIZE == 32
+    assert data.hex() == (
+        "54434650" + "01010100" + "04030201" + "01000000" + "0500000000000000" + "0094357700000000"
+        "0000803f"
+        + "00000040"
+        + "00004040"
+        + "00008040"
+        + f"{zlib.crc32(data[:-4]):08x}"[6:8]
+        + f"{zlib.crc32(data[:-4]):08x}"[4:6]
+        + f"{zlib.crc32(data[:-4]):08x}"[2:4]
+        + f"{zlib.crc32(data[:-4]):08x}"[0:2]
+    )
