@@ -57,7 +57,8 @@ def test_menu_lists_what_can_be_added() -> None:
     )
     menu: Any = SimpleNamespace(layout=layout)
     scene_operators.CLAY_MT_add.draw(menu, bpy.context)
-    assert set(rows) == {f"clay.{name}" for name in (*ADDED, "wheel_scene_add", "hand_add", "array_add")}
+    names = (*ADDED, "wheel_scene_add", "hand_add", "array_add")
+    assert set(rows) == {f"clay.{name}" for name in names}
 
 
 @pytest.mark.parametrize("name", [*ADDED, "wheel_scene_add"])
