@@ -8,6 +8,7 @@ other touches.
 
 import warp as wp
 
+from ..contact.contacts import Contacts
 from ..contact.contacts_cpu import Near
 from ..contact.law import ContactSlots
 from ..core.awake import Awake, awake_particle
@@ -65,3 +66,15 @@ def cut_bonds_of_block(
     block = wp.tid()
     for k in range(near.count[block]):
         cut_bonds_of(plane_count, position, slots, pairs, near.index[block * BLOCK + k])
+
+
+def cut_all_bonds(contacts: Contacts, pairs: PairRows) -> None:
+    """Break bonds across meshes thinner than they are long, once contacts have been found."""
+    if contacts.meshes:
+        contacts.launch(
+            (cut_bonds, cut_bonds_of_block),
+            contacts.plane_count,
+            contacts.particles.position,
+            contacts.slots,
+            pairs,
+        )

@@ -15,6 +15,7 @@ from ..core.regions import Regions
 from ..scene.material import Material
 from ..scene.settings import BASE_STEP, Settings
 from .balance import Balance
+from .cutting import cut_all_bonds
 from .law import (
     BOND_REACH,
     PRESS_REACH,
@@ -188,7 +189,7 @@ class PlasticBonds:
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
-        self.contacts.cut(self.pairs.rows)
+        cut_all_bonds(self.contacts, self.pairs.rows)
         if turns:
             self.spin.turn()
         self.pairs.gather(self.clay, self.bodies)
