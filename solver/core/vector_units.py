@@ -10,8 +10,34 @@ OPTIONS = {"cpu_compiler_flags": "-O3 -march=native"}
 BLOCK = 64
 """Particles in a block."""
 
-VECTORS = """{
+NUMBERS = """
+    #if defined(__CUDACC__)
+    #define ALWAYS_INLINE
+    auto most = [](float a, float b) { return fmaxf(a, b); };
+    auto least = [](float a, float b) { return fminf(a, b); };
+    auto root = [](float a) { return sqrtf(a); };
+    auto power = [](float a, float b) { return powf(a, b); };
+    #else
+    #define ALWAYS_INLINE __attribute__((always_inline))
+    auto most = [](auto a, auto b) ALWAYS_INLINE {
+        return __builtin_elementwise_max(a, (decltype(a))b);
+    };
+    auto least = [](auto a, auto b) ALWAYS_INLINE {
+        return __builtin_elementwise_min(a, (decltype(a))b);
+    };
+    auto root = [](auto a) ALWAYS_INLINE { return __builtin_elementwise_sqrt(a); };
+    auto power = [](float a, float b) ALWAYS_INLINE { return __builtin_powf(a, b); };
+    #endif
+    auto select = [](auto mask, auto a, auto b) ALWAYS_INLINE { return mask ? a : (decltype(a))b; };
+"""
+"""Functions of numbers, for text that is written once: a number is a float, or on the CPU also
+eight lanes of floats; a mask is a bool, or eight lanes of -1 and 0."""
+
+VECTORS = (
+    f"""{{
     #pragma clang fp reassociate(on) contract(fast)
+    {NUMBERS}"""
+    + """
     typedef float f2 __attribute__((ext_vector_type(2)));
     typedef float f4 __attribute__((ext_vector_type(4)));
     typedef float f8 __attribute__((ext_vector_type(8)));
@@ -23,13 +49,6 @@ VECTORS = """{
     const i8 lanes = {0, 1, 2, 3, 4, 5, 6, 7};
     auto load = [](const float* p) __attribute__((always_inline)) { return *(const f8u*)p; };
     auto store = [](float* p, f8 v) __attribute__((always_inline)) { *(f8u*)p = v; };
-    auto most = [](f8 a, f8 b) __attribute__((always_inline)) {
-        return __builtin_elementwise_max(a, b);
-    };
-    auto least = [](f8 a, f8 b) __attribute__((always_inline)) {
-        return __builtin_elementwise_min(a, b);
-    };
-    auto root = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_sqrt(a); };
     auto sum = [](f8 a) __attribute__((always_inline)) {
         const f4 b = a.lo + a.hi;
         return (b.x + b.z) + (b.y + b.w);
@@ -77,6 +96,7 @@ VECTORS = """{
         pick_rows(p, j, 4, x, y, z, w);
     };
 """
+)
 
 
 def over_block(setup: str, body: str, result: str = "") -> str:

@@ -16,21 +16,22 @@ from ..contact.law import ContactSlots
 from ..core.awake import Awake, awake_particle
 from ..core.particles import Particles
 from ..core.regions import Regions
-from .law import BREAK_LENGTH, Body, Clay, PairLaw, bond_hold, kernel_slope
+from .law_data import BREAK_LENGTH, PairLaw, ParticleLaw, SharedLaw
+from .law_functions import bond_hold, kernel_slope, pair_pull
 from .pairs.rows import COMPRESSION, PairRows
 
 BORNE = 0.2
 """Sleeping clay bears this part of its weight sideways or upward: friction and inertia hold it."""
-LEAST_ACCELERATION = 0.1
+MIN_ACCELERATION = 0.1
 """What accelerates sleeping clay by less is ignored [m/s²]."""
 
 
 @wp.kernel(enable_backward=False)
 def sum_reactions(
     awake: Awake,
-    clay: Clay,
+    shared: SharedLaw,
     pair_laws: wp.array[PairLaw],
-    bodies: wp.array[Body],
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     position: wp.array[wp.vec3],
     pairs: PairRows,
@@ -47,13 +48,16 @@ def sum_reactions(
         if pairs.resting[j] == 1:
             offset = position[i] - position[j]
             apart = wp.length(offset)
-            pressure = bodies[own].pressure_stiffness * pairs.condition[i][COMPRESSION]
-            pressure += bodies[material[j]].pressure_stiffness * pairs.condition[j][COMPRESSION]
-            pull = -pressure * kernel_slope(clay, apart)
+            pressures = particle_laws[own].pressure_stiffness * pairs.condition[i][COMPRESSION]
+            other = particle_laws[material[j]]
+            pressures += other.pressure_stiffness * pairs.condition[j][COMPRESSION]
             rest = pairs.rest_length[slot]
+            stiffness = float(0.0)
             if rest > 0.0:
-                law = pair_laws[own * clay.material_count + material[j]]
-                pull += law.stiffness * bond_hold(clay, rest) * (apart - rest)
+                law = pair_laws[own * shared.material_count + material[j]]
+                stiffness = law.stiffness * bond_hold(shared, rest)
+            slope = kernel_slope(shared, apart)
+            pull = pair_pull(shared, 0.0, 0.0, pressures, slope, stiffness, apart - rest)
             wp.atomic_add(force, region[j], offset * (pull / wp.max(apart, 1.0e-12)))
 
 
@@ -96,9 +100,9 @@ class Balance:
     def unheld(
         self,
         regions: Regions,
-        clay: Clay,
+        shared: SharedLaw,
         pair_laws: wp.array,
-        bodies: wp.array,
+        particle_laws: wp.array,
         pairs: PairRows,
         contacts: Contacts,
     ) -> NDArray[np.bool_]:
@@ -106,9 +110,9 @@ class Balance:
 
         Args:
             regions: Which parts of the clay sleep.
-            clay: What all pairs share.
+            shared: What all pairs share.
             pair_laws: Of each pair of materials.
-            bodies: What particles of each material have of their own.
+            particle_laws: The values of particles of each material.
             pairs: The rows of neighbours.
             contacts: What the clay lies on.
         """
@@ -125,9 +129,9 @@ class Balance:
         force = wp.zeros(count, dtype=wp.vec3, device=device)
         particles.launch(
             sum_reactions,
-            clay,
+            shared,
             pair_laws,
-            bodies,
+            particle_laws,
             particles.material,
             particles.position,
             pairs,
@@ -146,7 +150,7 @@ class Balance:
             down = gravity / strength
             into = np.maximum(net @ down, 0.0) * (support @ down < 0.0)
             net -= into[:, None] * down
-        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + LEAST_ACCELERATION)
+        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + MIN_ACCELERATION)
         return occupied & unborne[self._piece]
 
     def _pieces(self, regions: Regions, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -16,15 +16,15 @@ from ..scene.material import Material
 from ..scene.settings import BASE_STEP, Settings
 from .balance import Balance
 from .cutting import cut_all_bonds
-from .law import (
+from .law_data import (
     BOND_REACH,
     PRESS_REACH,
-    Body,
-    Clay,
     PairLaw,
-    make_bodies,
-    make_clay,
+    ParticleLaw,
+    SharedLaw,
     make_pair_laws,
+    make_particle_laws,
+    make_shared_law,
 )
 from .pairs.neighbors import Neighbors
 from .pairs.pairs import Pairs
@@ -35,12 +35,12 @@ from .solve.spin import Spin
 
 SKIN = 0.6
 """Extra reach of neighbour lists, in spacings."""
-MOST_CLAYS = 64
+MAX_KEPT_LAWS = 64
 """Lengths of substep for which what pairs share is kept."""
 ITERATIONS_PER_REACH = 0.55
 """Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
-FEWEST_ITERATIONS = 6
-MOST_ITERATIONS = 40
+MIN_ITERATIONS = 6
+MAX_ITERATIONS = 40
 
 
 @wp.kernel(enable_backward=False)
@@ -82,8 +82,10 @@ class PlasticBonds:
         own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
         self.own_block = wp.array(own, dtype=wp.mat33, device=device)
         """Mass and contacts of each particle [kg]."""
-        self.bodies = wp.array(
-            make_bodies(particles.materials, settings, spacing), dtype=Body, device=device
+        self.particle_laws = wp.array(
+            make_particle_laws(particles.materials, settings, spacing),
+            dtype=ParticleLaw,
+            device=device,
         )
         self.pairs = Pairs(particles)
         # Bonds stay listed however long they are; only pairs that come close must be found.
@@ -95,7 +97,7 @@ class PlasticBonds:
         self._balance = Balance(particles)
         self.spin = Spin(particles, self.coarse)
         self._recordings = Recordings(particles)
-        self._clays: dict[float, Clay] = {}
+        self._shared_laws: dict[float, SharedLaw] = {}
         laws = make_pair_laws(particles.materials, spacing)
         self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
         self._prepare_law(BASE_STEP / settings.substeps)
@@ -121,7 +123,12 @@ class PlasticBonds:
     def unheld(self, regions: Regions) -> NDArray[np.bool_]:
         """Which regions sleep and are held by nothing any more, shape [R]."""
         return self._balance.unheld(
-            regions, self.clay, self.pair_laws, self.bodies, self.pairs.rows, self.contacts
+            regions,
+            self.shared_law,
+            self.pair_laws,
+            self.particle_laws,
+            self.pairs.rows,
+            self.contacts,
         )
 
     def wake(self, woken: NDArray[np.int64]) -> None:
@@ -169,20 +176,20 @@ class PlasticBonds:
         if last is None:
             farthest = max((_reach(m, time_step) for m in self.particles.materials), default=0.0)
             last = round(ITERATIONS_PER_REACH * farthest / self.particles.spacing)
-            last = min(max(last, FEWEST_ITERATIONS), MOST_ITERATIONS)
+            last = min(max(last, MIN_ITERATIONS), MAX_ITERATIONS)
         return -(-last // 3), last
 
     def _prepare_law(self, time_step: float) -> None:
         """Take up what all pairs share in a substep; recordings hold on to those made before."""
-        if time_step not in self._clays:
-            if len(self._clays) >= MOST_CLAYS:
-                self._clays.clear()
+        if time_step not in self._shared_laws:
+            if len(self._shared_laws) >= MAX_KEPT_LAWS:
+                self._shared_laws.clear()
                 self._recordings.clear()
             particles = self.particles
-            self._clays[time_step] = make_clay(
+            self._shared_laws[time_step] = make_shared_law(
                 self.settings, particles.spacing, len(particles.materials), time_step
             )
-        self.clay = self._clays[time_step]
+        self.shared_law = self._shared_laws[time_step]
 
     def _open(self, substep: ContactPass, turns: bool) -> None:
         """Everything up to the coarse matrix; ``turns`` says whether anything spins."""
@@ -192,7 +199,7 @@ class PlasticBonds:
         cut_all_bonds(self.contacts, self.pairs.rows)
         if turns:
             self.spin.turn()
-        self.pairs.gather(self.clay, self.bodies)
+        self.pairs.gather(self.shared_law, self.particle_laws)
         self._linearize(substep)
         self.coarse.assemble(self.own_block, self.pairs)
 
@@ -200,26 +207,28 @@ class PlasticBonds:
         """Newton's method, and what follows from the velocities it finds."""
         for newton, iterations in enumerate(self._iterations(substep.time_step)):
             if newton > 0:
-                self.pairs.measure(self.clay, self.bodies)
+                self.pairs.measure(self.shared_law, self.particle_laws)
                 self._linearize(substep)
             self.gradients.solve(
                 iterations,
-                self.clay,
-                self.bodies,
+                self.shared_law,
+                self.particle_laws,
                 self.pairs,
                 self.diagonal,
                 self.own_block,
                 self.coarse,
             )
         self.contacts.settle(substep, self.gradients.change)
-        self.pairs.flow(self.clay, self.pair_laws)
+        self.pairs.flow(self.shared_law, self.pair_laws)
         self.particles.move(substep.time_step)
         self.neighbors.measure()
 
     def _linearize(self, substep: ContactPass) -> None:
         """Residual and tangent of pairs and contacts at the present velocities."""
         residual = self.gradients.residual
-        self.pairs.sum_forces(self.clay, self.pair_laws, self.bodies, residual, self.diagonal)
+        self.pairs.sum_forces(
+            self.shared_law, self.pair_laws, self.particle_laws, residual, self.diagonal
+        )
         self.contacts.press(substep, self.gradients.change, residual, self.diagonal, self.own_block)
 
     def compression(self) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from ...core.awake import Awake, awake_particle
 from ...core.particles import ByPart, Particles
 from . import neighbors_cpu
 from .pairs import Pairs
-from .rows import MOST_SLOTS, PairRows, keep_bonds, swap_slots
+from .rows import MAX_SLOTS, PairRows, keep_bonds, swap_slots
 
 _GRID_CELLS = 64
 MOST_FOLLOWED = 1000
@@ -179,11 +179,11 @@ class Neighbors:
         needed = self.needed.numpy()
         short = needed > self.pairs.rows.room.numpy()
         if short.any():
-            self.overflow += int(np.maximum(needed[short] - MOST_SLOTS, 0).sum())
-            if (needed[short] < MOST_SLOTS).any() or self.rebuild_count == 0:
+            self.overflow += int(np.maximum(needed[short] - MAX_SLOTS, 0).sum())
+            if (needed[short] < MAX_SLOTS).any() or self.rebuild_count == 0:
                 self.pairs.make_room(np.flatnonzero(short), needed)
                 self._fill()
-            if (needed[short] > MOST_SLOTS).any():
+            if (needed[short] > MAX_SLOTS).any():
                 self.particles.launch(mark_one_sided, self.needed, self.pairs.rows)
                 self.particles.launch(drop_marked, self.pairs.rows)
         wp.copy(self.listed_position, position)

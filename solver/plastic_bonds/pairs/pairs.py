@@ -6,20 +6,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ...core.particles import Particles
-from ..law import Clay
-from . import (
-    products as pair_products,
-)
-from . import (
-    products_cpu as pair_products_cpu,
-)
-from . import (
-    rows as pair_rows,
-)
-from . import (
-    rows_cpu as pair_rows_cpu,
-)
-from .rows import MOST_SLOTS, PairRows
+from ..law_data import SharedLaw
+from . import products, products_cpu, rows, rows_cpu
+from .rows import MAX_SLOTS, PairRows
 
 _BY_SLOT = (
     "direction_x",
@@ -57,7 +46,7 @@ def move_rows(
 
 def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
     """Slots to give to rows: a little more than needed, so that they need not move often."""
-    return (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+    return (np.minimum(needed + 4, MAX_SLOTS) + 7) // 8 * 8
 
 
 class Pairs:
@@ -70,20 +59,19 @@ class Pairs:
     def __init__(self, particles: Particles) -> None:
         self.particles = particles
         count, device = particles.count, particles.device
-        rows = PairRows()
+        self.rows = PairRows()
         for name in ("first", "room", "listed", "acting"):
-            setattr(rows, name, wp.zeros(count, dtype=int, device=device))
-        rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
-        rows.resting = particles.resting
-        self.rows = rows
+            setattr(self.rows, name, wp.zeros(count, dtype=int, device=device))
+        self.rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
+        self.rows.resting = particles.resting
         self.generation = 0
         self._slots = self._used = 0
-        rows.other = wp.zeros(0, dtype=int, device=device)
-        rows.rest_length = wp.zeros(0, dtype=float, device=device)
+        self.rows.other = wp.zeros(0, dtype=int, device=device)
+        self.rows.rest_length = wp.zeros(0, dtype=float, device=device)
         self.lay_out(np.zeros(count, np.int32))
         self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
-        self._passes = pair_rows_cpu if device.is_cpu else pair_rows
-        self._products = pair_products_cpu if device.is_cpu else pair_products
+        self._passes = rows_cpu if device.is_cpu else rows
+        self._products = products_cpu if device.is_cpu else products
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
     def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
@@ -134,15 +122,15 @@ class Pairs:
         rows.room.assign(room.astype(np.int32))
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
 
-    def gather(self, clay: Clay, bodies: wp.array) -> None:
+    def gather(self, shared: SharedLaw, particle_laws: wp.array) -> None:
         """Collect the pairs that act from here, and measure them at the present velocities."""
         particles = self.particles
         # The CPU's pass needs a list of the rows that it leaves to the plain one.
         left = [self._left] if particles.device.is_cpu else []
         self._launch(
             self._passes.lay_pairs,
-            clay,
-            bodies,
+            shared,
+            particle_laws,
             particles.material,
             particles.position,
             particles.velocity,
@@ -150,13 +138,13 @@ class Pairs:
             *left,
         )
 
-    def measure(self, clay: Clay, bodies: wp.array) -> None:
+    def measure(self, shared: SharedLaw, particle_laws: wp.array) -> None:
         """Find lengths, volumes and stresses at the end of a substep with these velocities."""
         particles = self.particles
         self._launch(
             self._passes.measure_pairs,
-            clay,
-            bodies,
+            shared,
+            particle_laws,
             particles.material,
             particles.velocity,
             self.rows,
@@ -164,9 +152,9 @@ class Pairs:
 
     def sum_forces(
         self,
-        clay: Clay,
+        shared: SharedLaw,
         pair_laws: wp.array,
-        bodies: wp.array,
+        particle_laws: wp.array,
         residual: wp.array,
         diagonal: wp.array,
     ) -> None:
@@ -174,9 +162,9 @@ class Pairs:
         particles = self.particles
         self._launch(
             self._passes.sum_forces,
-            clay,
+            shared,
             pair_laws,
-            bodies,
+            particle_laws,
             particles.material,
             particles.velocity_free,
             particles.velocity,
@@ -187,8 +175,8 @@ class Pairs:
 
     def multiply(
         self,
-        clay: Clay,
-        bodies: wp.array,
+        shared: SharedLaw,
+        particle_laws: wp.array,
         own_block: wp.array,
         direction: wp.array,
         product: wp.array,
@@ -198,8 +186,8 @@ class Pairs:
         """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
 
         Args:
-            clay: What all pairs share.
-            bodies: What particles of each material have of their own.
+            shared: What all pairs share.
+            particle_laws: The values of particles of each material.
             own_block: Mass and contacts alone [kg].
             direction: What to multiply [m/s]; with room behind for how pressures change.
             product: The product [N s].
@@ -209,14 +197,15 @@ class Pairs:
         particles = self.particles
         self._launch(
             self._products.press_pairs,
-            bodies,
+            shared,
+            particle_laws,
             particles.material,
-            clay.time_step,
             self.rows,
             direction,
         )
         self._launch(
             self._products.multiply_pairs,
+            shared,
             self.rows,
             own_block,
             direction,
@@ -225,12 +214,12 @@ class Pairs:
             iteration,
         )
 
-    def flow(self, clay: Clay, pair_laws: wp.array) -> None:
+    def flow(self, shared: SharedLaw, pair_laws: wp.array) -> None:
         """Write the rest lengths after flow, at the final velocities."""
         particles = self.particles
         self._launch(
             self._passes.flow_pairs,
-            clay,
+            shared,
             pair_laws,
             particles.material,
             particles.velocity,

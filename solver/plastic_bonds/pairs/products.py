@@ -8,7 +8,8 @@ what bonds, dampers and pressures of its pairs answer.
 import warp as wp
 
 from ...core.awake import Awake, awake_particle
-from ..law import Body
+from ..law_data import ParticleLaw, SharedLaw
+from ..law_functions import pressure_tangent, tangent_pull
 from .rows import COMPRESSION, PairRows, pair_direction
 
 
@@ -21,9 +22,9 @@ def motion(direction: wp.vec4) -> wp.vec3:
 @wp.kernel(enable_backward=False)
 def press_pairs(
     awake: Awake,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
-    time_step: float,
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None:
@@ -37,13 +38,14 @@ def press_pairs(
         for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
             way = motion(p) - motion(direction[pairs.other[slot]])
             total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), way)
-    p[3] = total * bodies[material[i]].pressure_stiffness * time_step * time_step
+    p[3] = total * pressure_tangent(shared, particle_laws[material[i]].pressure_stiffness)
     direction[i] = p
 
 
 @wp.kernel(enable_backward=False)
 def multiply_pairs(
     awake: Awake,
+    shared: SharedLaw,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     direction: wp.array[wp.vec4],
@@ -62,7 +64,9 @@ def multiply_pairs(
         j = pairs.other[slot]
         n = pair_direction(pairs, slot)
         closing = wp.dot(n, p - motion(direction[j]))
-        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + direction[j][3])
-        total += n * pull
+        pressures = own + direction[j][3]
+        total += n * tangent_pull(
+            shared, pairs.stiffness[slot], closing, pairs.slope[slot], pressures
+        )
     product[i] = total
     wp.atomic_add(curvature, awake.part, iteration, wp.float64(wp.dot(total, p)))

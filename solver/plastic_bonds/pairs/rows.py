@@ -13,24 +13,32 @@ the substep, its length that at the end: so pair forces conserve angular momentu
 import warp as wp
 
 from ...core.awake import Awake, awake_particle
-from ..law import (
-    Body,
-    Clay,
-    PairLaw,
+from ..law_data import PairLaw, ParticleLaw, SharedLaw
+from ..law_functions import (
+    begins_to_press,
+    bond_breaks,
     bond_hold,
+    bond_stretch,
+    coincident_distance,
+    compression_of,
+    dilation_of,
     flow_bond,
     flow_share,
+    forms_bond,
     kernel_slope,
     kernel_value,
+    lets_go,
     pair_damping,
-    surface_density,
+    pair_pull,
+    pair_tangent,
+    pressure_tangent,
 )
 
 COMPRESSION = wp.constant(0)
 DILATION = wp.constant(1)
 SHARE = wp.constant(2)
 DAMPING = wp.constant(3)
-MOST_SLOTS = 96
+MAX_SLOTS = 96
 """Neighbours a particle can list: clay at three times its density within two spacings."""
 
 
@@ -103,7 +111,7 @@ def keep_bonds(pairs: PairRows, i: int) -> int:
 
 
 @wp.func
-def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+def sort_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
     """Let go of pairs that no longer act, take up those that come close, count new bonds in."""
     x = position[i]
     first = pairs.first[i]
@@ -113,12 +121,12 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
         rest = pairs.rest_length[slot]
         if rest <= 0.0:
             apart = wp.length(position[pairs.other[slot]] - x)
-            if apart < clay.form_reach and clay.bonds == 1:
+            if forms_bond(shared, apart):
                 rest -= 1.0
-                if rest < -clay.dwell:
-                    rest = wp.max(apart, clay.shortest_length)
+                if rest < -shared.dwell:
+                    rest = wp.max(apart, shared.min_rest_length)
             else:
-                rest = wp.where(apart < clay.break_length, -1.0, 0.0)
+                rest = wp.where(lets_go(shared, apart), 0.0, -1.0)
             pairs.rest_length[slot] = rest
         if rest == 0.0:
             end -= 1
@@ -127,7 +135,7 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
             slot += 1
     for candidate in range(end, first + pairs.listed[i]):
         j = pairs.other[candidate]
-        if pairs.resting[j] == 0 and wp.length(position[j] - x) < clay.press_reach:
+        if pairs.resting[j] == 0 and begins_to_press(shared, wp.length_sq(position[j] - x)):
             pairs.rest_length[candidate] = -1.0
             swap_slots(pairs, candidate, end)
             end += 1
@@ -135,9 +143,9 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
 
 
 @wp.func
-def lay_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+def lay_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
     """Find directions and distances of a particle's pairs."""
-    floor = 1.0e-6 * clay.spacing
+    floor = coincident_distance(shared)
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
         offset = position[j] - position[i]
@@ -157,8 +165,8 @@ def lay_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) ->
 
 @wp.func
 def measure_row(
-    clay: Clay,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
@@ -166,7 +174,7 @@ def measure_row(
 ) -> None:
     """Find the lengths of a particle's pairs at the end of the substep, its volume and stress."""
     v = velocity[i]
-    density = clay.inverse_rest_sum
+    neighbors = float(0.0)
     lopsided = wp.vec3()
     lengths = float(0.0)
     squares = float(0.0)
@@ -177,10 +185,10 @@ def measure_row(
         closing = velocity[pairs.other[slot]] - v
         n = pair_direction(pairs, slot)
         before = pairs.distance[slot]
-        apart = wp.length(n * before + closing * clay.time_step)
+        apart = wp.length(n * before + closing * shared.time_step)
         pairs.distance_next[slot] = apart
-        value = kernel_value(clay, apart)
-        density += value
+        value = kernel_value(shared, apart)
+        neighbors += value
         lopsided += n * value
         speed = wp.dot(n, closing)
         squares += apart * apart
@@ -188,23 +196,23 @@ def measure_row(
         rates += speed * speed
         rest = pairs.rest_length[slot]
         if rest > 0.0:
-            hold = bond_hold(clay, rest)
+            hold = bond_hold(shared, rest)
             lengths += hold * rest * rest
-            stretch += wp.outer(n, n) * (hold * (apart - rest) * apart)
-    body = bodies[material[i]]
+            stretch += wp.outer(n, n) * bond_stretch(shared, hold, rest, apart)
+    own = particle_laws[material[i]]
     pairs.condition[i] = wp.vec4(
-        wp.max(density + surface_density(clay, lopsided) - 1.0, 0.0),
-        wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing),
-        flow_share(clay, body, stretch),
-        pair_damping(clay, body, squares, parting, rates),
+        compression_of(shared, neighbors, wp.length(lopsided)),
+        dilation_of(shared, wp.trace(stretch), lengths),
+        flow_share(shared, own, stretch),
+        pair_damping(shared, own, squares, parting, rates),
     )
 
 
 @wp.kernel(enable_backward=False)
 def lay_pairs(
     awake: Awake,
-    clay: Clay,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     position: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
@@ -213,16 +221,16 @@ def lay_pairs(
     """Find the pairs that act, their directions and distances, and measure."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
-        sort_row(clay, position, pairs, i)
-        lay_row(clay, position, pairs, i)
-        measure_row(clay, bodies, material, velocity, pairs, i)
+        sort_row(shared, position, pairs, i)
+        lay_row(shared, position, pairs, i)
+        measure_row(shared, particle_laws, material, velocity, pairs, i)
 
 
 @wp.kernel(enable_backward=False)
 def measure_pairs(
     awake: Awake,
-    clay: Clay,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
@@ -230,15 +238,15 @@ def measure_pairs(
     """Find each pair's length at the end of the substep, each particle's volume and stress."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
-        measure_row(clay, bodies, material, velocity, pairs, i)
+        measure_row(shared, particle_laws, material, velocity, pairs, i)
 
 
 @wp.kernel(enable_backward=False)
 def sum_forces(
     awake: Awake,
-    clay: Clay,
+    shared: SharedLaw,
     pair_laws: wp.array[PairLaw],
-    bodies: wp.array[Body],
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     velocity_free: wp.array[wp.vec3],
     velocity: wp.array[wp.vec3],
@@ -250,52 +258,57 @@ def sum_forces(
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    dt = clay.time_step
-    own = material[i]
-    body = bodies[own]
+    material_row = material[i] * shared.material_count
+    own = particle_laws[material[i]]
     condition = pairs.condition[i]
     compression = condition[COMPRESSION]
-    pressure = body.pressure_stiffness * compression
+    pressure = own.pressure_stiffness * compression
     force = wp.vec3()
     slope_sum = wp.vec3()
-    block = wp.identity(n=3, dtype=float) * body.mass
+    block = wp.identity(n=3, dtype=float) * own.mass
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
         apart = pairs.distance_next[slot]
         n = pair_direction(pairs, slot)
-        a = kernel_slope(clay, apart)
+        slope = kernel_slope(shared, apart)
         mean = 0.5 * (condition + pairs.condition[j])
         other_compression = pairs.condition[j][COMPRESSION]
-        other_stiffness = bodies[material[j]].pressure_stiffness
-        speed = (apart - pairs.distance[slot]) / dt
-        pull = mean[DAMPING] * speed - (pressure + other_stiffness * other_compression) * a
-        k = mean[DAMPING] * dt
+        other_stiffness = particle_laws[material[j]].pressure_stiffness
         rest = pairs.rest_length[slot]
+        stiffness = float(0.0)
+        stretch = float(0.0)
+        softening = float(0.0)
         if rest > 0.0:
-            law = pair_laws[own * clay.material_count + material[j]]
+            law = pair_laws[material_row + material[j]]
+            tension = law.tension_stretch
             pressed = mean[COMPRESSION] > 0.0
-            bond = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
-            stiffness = law.stiffness * bond_hold(clay, rest)
-            pull += stiffness * (apart - bond.rest_length)
-            k += stiffness * bond.softening * dt * dt
+            bond = flow_bond(shared, tension, rest, apart, mean[DILATION], mean[SHARE], pressed)
+            stiffness = law.stiffness * bond_hold(shared, rest)
+            stretch = apart - bond[0]
+            softening = bond[1]
+        pressures = pressure + other_stiffness * other_compression
+        parted = apart - pairs.distance[slot]
+        pull = pair_pull(shared, mean[DAMPING], parted, pressures, slope, stiffness, stretch)
         force += n * pull
-        pairs.stiffness[slot] = k
-        pairs.slope[slot] = a
-        slope_sum += n * a
-        w = k
+        tangent = pair_tangent(shared, stiffness, softening, mean[DAMPING])
+        pairs.stiffness[slot] = tangent
+        pairs.slope[slot] = slope
+        slope_sum += n * slope
+        weight = tangent
         if other_compression > 0.0:
-            w += other_stiffness * dt * dt * a * a
-        block += wp.outer(n, n) * w
+            weight += pressure_tangent(shared, other_stiffness) * slope * slope
+        block += wp.outer(n, n) * weight
     if compression > 0.0:
-        block += wp.outer(slope_sum, slope_sum) * (body.pressure_stiffness * dt * dt)
-    residual[i] = (velocity_free[i] - velocity[i]) * body.mass + force * dt
+        own_tangent = pressure_tangent(shared, own.pressure_stiffness)
+        block += wp.outer(slope_sum, slope_sum) * own_tangent
+    residual[i] = (velocity_free[i] - velocity[i]) * own.mass + force * shared.time_step
     diagonal[i] = block
 
 
 @wp.kernel(enable_backward=False)
 def flow_pairs(
     awake: Awake,
-    clay: Clay,
+    shared: SharedLaw,
     pair_laws: wp.array[PairLaw],
     material: wp.array[int],
     velocity: wp.array[wp.vec3],
@@ -312,14 +325,12 @@ def flow_pairs(
         rest = pairs.rest_length[slot]
         if rest > 0.0:
             j = pairs.other[slot]
-            law = pair_laws[material[i] * clay.material_count + material[j]]
+            law = pair_laws[material[i] * shared.material_count + material[j]]
             mean = 0.5 * (pairs.condition[i] + pairs.condition[j])
+            tension = law.tension_stretch
             pressed = mean[COMPRESSION] > 0.0
             closing = velocity[j] - velocity[i]
-            way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
+            way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * shared.time_step
             apart = wp.length(way)
-            flowed = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
-            rest = flowed.rest_length
-            if wp.max(apart, rest) > clay.break_length:
-                rest = 0.0
-            pairs.rest_length[slot] = rest
+            bond = flow_bond(shared, tension, rest, apart, mean[DILATION], mean[SHARE], pressed)
+            pairs.rest_length[slot] = wp.where(bond_breaks(shared, apart, bond[0]), 0.0, bond[0])

@@ -11,7 +11,7 @@ import warp as wp
 
 from ...core.awake import Awake, awake_particle
 from ...core.particles import ByPart, Particles, zeros_with_room
-from ..law import Clay
+from ..law_data import SharedLaw
 from ..pairs.pairs import Pairs
 from ..pairs.products import motion
 from . import conjugate_gradients_cpu
@@ -139,8 +139,8 @@ class ConjugateGradients:
     def solve(
         self,
         iterations: int,
-        clay: Clay,
-        bodies: wp.array,
+        shared: SharedLaw,
+        particle_laws: wp.array,
         pairs: Pairs,
         diagonal: wp.array,
         own_block: wp.array,
@@ -150,8 +150,8 @@ class ConjugateGradients:
 
         Args:
             iterations: How many.
-            clay: What all pairs share.
-            bodies: What particles of each material have of their own.
+            shared: What all pairs share.
+            particle_laws: The values of particles of each material.
             pairs: The acting pairs with their tangent.
             diagonal: Each particle's block of the tangent [kg], contacts included.
             own_block: Mass and contacts alone [kg].
@@ -170,8 +170,8 @@ class ConjugateGradients:
         for iteration in range(iterations):
             launch(passes.turn, iteration, data)
             pairs.multiply(
-                clay,
-                bodies,
+                shared,
+                particle_laws,
                 own_block,
                 data.direction,
                 data.product,

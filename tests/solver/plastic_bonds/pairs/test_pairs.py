@@ -126,7 +126,7 @@ LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next"
 def test_pairs_are_laid_the_same(pressed: PlasticBonds):
     """Find the same pairs, directions, lengths and volumes."""
     rows, body = pressed.pairs.rows, pressed.particles
-    law = [pressed.clay, pressed.bodies, body.material]
+    law = [pressed.shared_law, pressed.particle_laws, body.material]
     inputs = [*law, body.position, body.velocity, rows]
     compare(
         pressed,
@@ -143,7 +143,7 @@ def test_pairs_are_laid_the_same(pressed: PlasticBonds):
 def test_pairs_are_measured_the_same(pressed: PlasticBonds):
     """Measure the same lengths, stretches and compressions."""
     rows, body = pressed.pairs.rows, pressed.particles
-    inputs = [pressed.clay, pressed.bodies, body.material, body.velocity, rows]
+    inputs = [pressed.shared_law, pressed.particle_laws, body.material, body.velocity, rows]
     compare(
         pressed,
         lambda: body.launch(pair_rows.measure_pairs, *inputs),
@@ -158,9 +158,9 @@ def test_forces_are_the_same(pressed: PlasticBonds):
     """Sum the same forces and tangents, law and all."""
     rows, body, solve = pressed.pairs.rows, pressed.particles, pressed.gradients.data
     inputs = [
-        pressed.clay,
+        pressed.shared_law,
         pressed.pair_laws,
-        pressed.bodies,
+        pressed.particle_laws,
         body.material,
         body.velocity_free,
         body.velocity,
@@ -182,7 +182,7 @@ def test_forces_are_the_same(pressed: PlasticBonds):
 def test_bonds_flow_the_same(pressed: PlasticBonds):
     """Flow to the same rest lengths, and break the same bonds."""
     rows, body = pressed.pairs.rows, pressed.particles
-    inputs = [pressed.clay, pressed.pair_laws, body.material, body.velocity, rows]
+    inputs = [pressed.shared_law, pressed.pair_laws, body.material, body.velocity, rows]
     before = acting(pressed, "rest_length")()
     compare(
         pressed,
@@ -206,9 +206,21 @@ def test_products_are_the_same(pressed: PlasticBonds):
 
     def multiply(module: object, launch: Callable[..., None]) -> None:
         solve.curvature.zero_()
-        press = [pressed.bodies, body.material, STEP, pressed.pairs.rows, solve.direction]
+        press = [
+            pressed.shared_law,
+            pressed.particle_laws,
+            body.material,
+            pressed.pairs.rows,
+            solve.direction,
+        ]
         launch(module.press_pairs, *press)  # type: ignore[attr-defined]
-        inputs = [pressed.pairs.rows, pressed.own_block, solve.direction, solve.product]
+        inputs = [
+            pressed.shared_law,
+            pressed.pairs.rows,
+            pressed.own_block,
+            solve.direction,
+            solve.product,
+        ]
         launch(module.multiply_pairs, *inputs, solve.curvature, 0)  # type: ignore[attr-defined]
 
     compare(
@@ -372,8 +384,8 @@ def test_tangent_is_symmetric_and_positive(pressed: PlasticBonds):
     for vector in vectors:
         solve.direction.assign(np.pad(vector, ((0, 0), (0, 1))))
         pressed.pairs.multiply(
-            pressed.clay,
-            pressed.bodies,
+            pressed.shared_law,
+            pressed.particle_laws,
             pressed.own_block,
             solve.direction,
             solve.product,
