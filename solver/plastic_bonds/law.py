@@ -135,8 +135,9 @@ FORMULAS = (
         return stress > own.yield_stress ? 1.f - own.yield_stress / stress : 0.f;
     };
     // The rest length of a bond after one substep of flow. Its softening is the secant stiffness
-    // over the elastic one: 1 where nothing flowed. (The consistent tangent of a yielding bond is
-    // near zero and lets Newton's method run away; the secant through the origin is safe.)
+    // over the elastic one: 1 where nothing flowed; more than the secant where a bond both yields
+    // and draws out. (The consistent tangent of a yielding bond is near zero and lets Newton's
+    // method run away; the secant through the origin is safe.)
     auto flow_bond = [&](auto tension_stretch, auto rest, auto apart, auto dilation, auto share,
                          auto pressed, auto& softening) ALWAYS_INLINE {
         const auto stretch = apart - rest;

@@ -28,6 +28,13 @@ from tactile_clay.solver.plastic_bonds.solve import (
     conjugate_gradients_cpu,
 )
 from tactile_clay.tests.experiments.shapes import at, ball, block
+from tactile_clay.tests.solver.plastic_bonds.pairs.two_ways import (
+    acting,
+    compare,
+    conditions,
+    over_parts,
+    per_particle,
+)
 
 SPACING = 0.005
 STEP = 1 / 240
@@ -56,68 +63,6 @@ def pressed() -> PlasticBonds:
     assert model.compression().max() > 0
     assert model.coarse.size.numpy()[0] > 6
     return model
-
-
-def compare(
-    model: PlasticBonds,
-    plain: Callable[[], None],
-    by_block: Callable[[], None],
-    state: list[wp.array],
-    results: dict[str, Callable[[], NDArray]],
-    tolerance: float = 1e-5,
-) -> None:
-    """Run both passes from the same state; all results must agree, relative to the largest."""
-    before = [array.numpy().copy() for array in state]
-    outcomes = []
-    for run in (plain, by_block):
-        for array, values in zip(state, before, strict=True):
-            array.assign(values)
-        run()
-        outcomes.append({name: result().copy() for name, result in results.items()})
-    for array, values in zip(state, before, strict=True):
-        array.assign(values)
-    for name in results:
-        one, two = (np.asarray(outcome[name], float) for outcome in outcomes)
-        scale = np.abs(one).max()
-        assert scale > 0, name
-        np.testing.assert_allclose(two, one, rtol=0, atol=tolerance * scale, err_msg=name)
-
-
-def acting(model: PlasticBonds, name: str) -> Callable[[], NDArray]:
-    """Read what the acting slots of all rows hold, sorted by pair."""
-    rows = model.pairs.rows
-
-    def read() -> NDArray:
-        first, count = rows.first.numpy(), rows.acting.numpy()
-        slots = np.concatenate([np.arange(f, f + c) for f, c in zip(first, count, strict=True)])
-        who = np.repeat(np.arange(len(first)), count)
-        order = np.lexsort((rows.other.numpy()[slots], who))
-        return getattr(rows, name).numpy()[slots][order]
-
-    return read
-
-
-def per_particle(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
-    """Read whole arrays."""
-    return {str(number): array.numpy for number, array in enumerate(arrays)}
-
-
-def over_parts(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
-    """Read sums over all parts of the particles."""
-
-    def reader(array: wp.array) -> Callable[[], NDArray]:
-        return lambda: array.numpy().sum(0)
-
-    return {f"sum {number}": reader(array) for number, array in enumerate(arrays)}
-
-
-def conditions(model: PlasticBonds) -> dict[str, Callable[[], NDArray]]:
-    """Read each number of the particles' conditions for itself."""
-
-    def reader(place: int) -> Callable[[], NDArray]:
-        return lambda: model.pairs.rows.condition.numpy()[:, place]
-
-    return {f"condition {place}": reader(place) for place in range(4)}
 
 
 LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next", "other")
