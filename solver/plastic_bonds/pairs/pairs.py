@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...core.particles import Particles
 from ..law_data import SharedLaw
-from . import products, products_cpu, rows, rows_cpu
+from . import forces, forces_cpu, measures, measures_cpu, products, products_cpu
 from .rows import MAX_SLOTS, PairRows
 
 _BY_SLOT = (
@@ -70,7 +70,8 @@ class Pairs:
         self.rows.rest_length = wp.zeros(0, dtype=float, device=device)
         self.lay_out(np.zeros(count, np.int32))
         self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
-        self._passes = rows_cpu if device.is_cpu else rows
+        self._measures = measures_cpu if device.is_cpu else measures
+        self._forces = forces_cpu if device.is_cpu else forces
         self._products = products_cpu if device.is_cpu else products
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
@@ -128,7 +129,7 @@ class Pairs:
         # The CPU's pass needs a list of the rows that it leaves to the plain one.
         left = [self._left] if particles.device.is_cpu else []
         self._launch(
-            self._passes.lay_pairs,
+            self._measures.lay_pairs,
             shared,
             particle_laws,
             particles.material,
@@ -142,7 +143,7 @@ class Pairs:
         """Find lengths, volumes and stresses at the end of a substep with these velocities."""
         particles = self.particles
         self._launch(
-            self._passes.measure_pairs,
+            self._measures.measure_pairs,
             shared,
             particle_laws,
             particles.material,
@@ -161,7 +162,7 @@ class Pairs:
         """Residual impulse and tangent at the present velocities; `measure` comes first."""
         particles = self.particles
         self._launch(
-            self._passes.sum_forces,
+            self._forces.sum_forces,
             shared,
             pair_laws,
             particle_laws,
@@ -218,7 +219,7 @@ class Pairs:
         """Write the rest lengths after flow, at the final velocities."""
         particles = self.particles
         self._launch(
-            self._passes.flow_pairs,
+            self._forces.flow_pairs,
             shared,
             pair_laws,
             particles.material,

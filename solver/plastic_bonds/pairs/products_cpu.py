@@ -10,8 +10,7 @@ from ...core.awake import Awake
 from ...core.vector_units import OPTIONS, over_block
 from ..law import FORMULAS
 from ..law_data import ParticleLaw, SharedLaw
-from .rows import PairRows
-from .rows_cpu import ROW
+from .rows import ROW, PairRows
 
 wp.set_module_options(OPTIONS)
 

@@ -13,7 +13,7 @@ from tactile_clay.solver import Material, Settings
 from tactile_clay.solver.plastic_bonds import law, law_data
 from tactile_clay.solver.plastic_bonds import law_functions as formulas
 from tactile_clay.solver.plastic_bonds.law_data import ParticleLaw, SharedLaw
-from tactile_clay.solver.plastic_bonds.pairs import products_cpu, rows_cpu
+from tactile_clay.solver.plastic_bonds.pairs import forces_cpu, measures_cpu, products_cpu
 
 SPACING = 0.005
 STEP = 1 / 240
@@ -169,11 +169,11 @@ def test_damping_has_the_stress_of_the_material(shared: SharedLaw, index: float)
 @pytest.mark.parametrize(
     "block",
     [
-        rows_cpu.lay_block,
-        rows_cpu.lay_one,
-        rows_cpu.measure_block,
-        rows_cpu.sum_forces_block,
-        rows_cpu.flow_block,
+        measures_cpu.lay_block,
+        measures_cpu.lay_one,
+        measures_cpu.measure_block,
+        forces_cpu.sum_forces_block,
+        forces_cpu.flow_block,
         products_cpu.press_block,
         products_cpu.multiply_block,
     ],
@@ -184,7 +184,10 @@ def test_vector_units_take_the_same_text(block: wp.Function):
     assert law.FORMULAS in block.native_snippet
 
 
-@pytest.mark.parametrize("name", ["rows", "rows_cpu", "products", "products_cpu"])
+@pytest.mark.parametrize(
+    "name",
+    ["rows", "measures", "measures_cpu", "forces", "forces_cpu", "products", "products_cpu"],
+)
 def test_passes_have_no_constants_of_their_own(name: str):
     """Keep every number but 0, a half and 1 where the law is."""
     source = (BONDS / "pairs" / f"{name}.py").read_text(encoding="utf-8")

@@ -15,11 +15,16 @@ from tactile_clay.solver.contact import search as contact_search
 from tactile_clay.solver.core import particles, particles_cpu
 from tactile_clay.solver.core.particles import ByPart
 from tactile_clay.solver.plastic_bonds.model import PlasticBonds
-from tactile_clay.solver.plastic_bonds.pairs import neighbors, neighbors_cpu
-from tactile_clay.solver.plastic_bonds.pairs import products as pair_products
-from tactile_clay.solver.plastic_bonds.pairs import products_cpu as pair_products_cpu
-from tactile_clay.solver.plastic_bonds.pairs import rows as pair_rows
-from tactile_clay.solver.plastic_bonds.pairs import rows_cpu as pair_rows_cpu
+from tactile_clay.solver.plastic_bonds.pairs import (
+    forces,
+    forces_cpu,
+    measures,
+    measures_cpu,
+    neighbors,
+    neighbors_cpu,
+    products,
+    products_cpu,
+)
 from tactile_clay.solver.plastic_bonds.solve import (
     coarse_modes,
     coarse_space,
@@ -75,8 +80,8 @@ def test_pairs_are_laid_the_same(pressed: PlasticBonds):
     inputs = [*law, body.position, body.velocity, rows]
     compare(
         pressed,
-        lambda: body.launch(pair_rows.lay_pairs, *inputs),
-        lambda: body.launch_blocks(pair_rows_cpu.lay_pairs, *inputs, pressed.pairs._left),
+        lambda: body.launch(measures.lay_pairs, *inputs),
+        lambda: body.launch_blocks(measures_cpu.lay_pairs, *inputs, pressed.pairs._left),
         [rows.other, rows.rest_length, rows.acting],
         {name: acting(pressed, name) for name in (*LAID, "rest_length")}
         | conditions(pressed)
@@ -91,8 +96,8 @@ def test_pairs_are_measured_the_same(pressed: PlasticBonds):
     inputs = [pressed.shared_law, pressed.particle_laws, body.material, body.velocity, rows]
     compare(
         pressed,
-        lambda: body.launch(pair_rows.measure_pairs, *inputs),
-        lambda: body.launch_blocks(pair_rows_cpu.measure_pairs, *inputs),
+        lambda: body.launch(measures.measure_pairs, *inputs),
+        lambda: body.launch_blocks(measures_cpu.measure_pairs, *inputs),
         [],
         {"distance_next": acting(pressed, "distance_next")} | conditions(pressed),
         tolerance=1e-4,
@@ -115,8 +120,8 @@ def test_forces_are_the_same(pressed: PlasticBonds):
     ]
     compare(
         pressed,
-        lambda: body.launch(pair_rows.sum_forces, *inputs),
-        lambda: body.launch_blocks(pair_rows_cpu.sum_forces, *inputs),
+        lambda: body.launch(forces.sum_forces, *inputs),
+        lambda: body.launch_blocks(forces_cpu.sum_forces, *inputs),
         [],
         {name: acting(pressed, name) for name in ("stiffness", "slope")}
         | per_particle(solve.residual, pressed.diagonal),
@@ -131,8 +136,8 @@ def test_bonds_flow_the_same(pressed: PlasticBonds):
     before = acting(pressed, "rest_length")()
     compare(
         pressed,
-        lambda: body.launch(pair_rows.flow_pairs, *inputs),
-        lambda: body.launch_blocks(pair_rows_cpu.flow_pairs, *inputs),
+        lambda: body.launch(forces.flow_pairs, *inputs),
+        lambda: body.launch_blocks(forces_cpu.flow_pairs, *inputs),
         [rows.rest_length],
         {
             "flow": lambda: acting(pressed, "rest_length")() - before,
@@ -170,8 +175,8 @@ def test_products_are_the_same(pressed: PlasticBonds):
 
     compare(
         pressed,
-        lambda: multiply(pair_products, body.launch),
-        lambda: multiply(pair_products_cpu, body.launch_blocks),
+        lambda: multiply(products, body.launch),
+        lambda: multiply(products_cpu, body.launch_blocks),
         [solve.direction],
         per_particle(solve.direction, solve.product) | over_parts(solve.curvature),
     )

@@ -8,10 +8,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tactile_clay.solver import Material, Scene, Settings, Solver
 from tactile_clay.solver.plastic_bonds.model import PlasticBonds
-from tactile_clay.solver.plastic_bonds.pairs import products, products_cpu, rows, rows_cpu
+from tactile_clay.solver.plastic_bonds.pairs import (
+    forces,
+    forces_cpu,
+    measures,
+    measures_cpu,
+    products,
+    products_cpu,
+    rows,
+)
 from tactile_clay.tests.experiments.shapes import block
 from tactile_clay.tests.solver.plastic_bonds.pairs.two_ways import (
     acting,
@@ -28,6 +37,10 @@ MATERIALS = (
     Material(yield_stress=8e3, density=1900.0, viscosity=0.0, cohesion=3e4),
 )
 SEEDS = (1, 2, 3)
+LAY = (measures.lay_pairs, measures_cpu.lay_pairs)
+MEASURE = (measures.measure_pairs, measures_cpu.measure_pairs)
+SUM_FORCES = (forces.sum_forces, forces_cpu.sum_forces)
+FLOW = (forces.flow_pairs, forces_cpu.flow_pairs)
 
 
 @pytest.fixture(
@@ -74,7 +87,7 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
         rest[slots] = np.where(bonded, apart + wild * (drawn - apart), waiting)
     table.rest_length.assign(rest)
     body.launch(
-        rows.lay_pairs,
+        measures.lay_pairs,
         model.shared_law,
         model.particle_laws,
         body.material,
@@ -86,14 +99,15 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
 
 
 def both_ways(
-    model: PlasticBonds, name: str, *inputs: object
+    model: PlasticBonds, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: object
 ) -> tuple[Callable[[], None], Callable[[], None]]:
     """A pass over the rows, by the plain kernel and by vector units."""
     body = model.particles
-    left = [model.pairs._left] if name == "lay_pairs" else []
+    plain, by_block = kernels
+    left = [model.pairs._left] if kernels is LAY else []
     return (
-        lambda: body.launch(getattr(rows, name), *inputs),
-        lambda: body.launch_blocks(getattr(rows_cpu, name), *inputs, *left),
+        lambda: body.launch(plain, *inputs),
+        lambda: body.launch_blocks(by_block, *inputs, *left),
     )
 
 
@@ -120,9 +134,7 @@ def test_pairs_are_laid_the_same(model: PlasticBonds):
     names = ("direction_x", "direction_y", "direction_z", "distance", "other", "rest_length")
     compare(
         model,
-        *both_ways(
-            model, "lay_pairs", model.shared_law, model.particle_laws, body.material, *motion
-        ),
+        *both_ways(model, LAY, model.shared_law, model.particle_laws, body.material, *motion),
         [table.other, table.rest_length, table.acting],
         {name: acting(model, name) for name in names}
         | conditions(model)
@@ -138,7 +150,7 @@ def test_pairs_are_measured_the_same(model: PlasticBonds):
     inputs = [model.shared_law, model.particle_laws, body.material, body.velocity]
     compare(
         model,
-        *both_ways(model, "measure_pairs", *inputs, model.pairs.rows),
+        *both_ways(model, MEASURE, *inputs, model.pairs.rows),
         [],
         {"distance_next": acting(model, "distance_next")} | conditions(model),
         tolerance=2e-5,
@@ -153,7 +165,7 @@ def test_forces_are_the_same(model: PlasticBonds):
     motion = [body.material, body.velocity_free, body.velocity]
     compare(
         model,
-        *both_ways(model, "sum_forces", *laws, *motion, table, solve.residual, model.diagonal),
+        *both_ways(model, SUM_FORCES, *laws, *motion, table, solve.residual, model.diagonal),
         [],
         {name: acting(model, name) for name in ("stiffness", "slope")}
         | per_particle(solve.residual, model.diagonal),
@@ -192,7 +204,7 @@ def test_bonds_flow_the_same(model: PlasticBonds):
     inputs = [model.shared_law, model.pair_laws, body.material, body.velocity, table]
     compare(
         model,
-        *both_ways(model, "flow_pairs", *inputs),
+        *both_ways(model, FLOW, *inputs),
         [table.rest_length],
         {"rest_length": acting(model, "rest_length")},
         tolerance=2e-5,
