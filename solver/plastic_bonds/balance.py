@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether clay that sleeps is still held.
 
-To its awake neighbours sleeping clay is a wall. A wall holds whatever hangs on it, even where what
-bore it has gone. So each piece of sleeping clay is asked, step by step, whether its weight, what it
-lay on colliders with when it fell asleep, and what its awake neighbours do to it still add up to
-about nothing. What lies on something may be pressed against that.
+To its awake neighbors, sleeping clay is a wall. A wall holds whatever hangs on it, even after its
+own support is gone. So in each step, for each piece of sleeping clay, its weight, the forces of
+colliders when it fell asleep and the forces of its awake neighbors are summed: unless they balance,
+the piece is not held. Clay that lies on something may be pressed against it, though.
 """
 
 import numpy as np
@@ -21,9 +21,10 @@ from .law_functions import bond_hold, kernel_slope, pair_pull
 from .pairs.rows import COMPRESSION, PairRows
 
 BORNE = 0.2
-"""Sleeping clay bears this part of its weight sideways or upward: friction and inertia hold it."""
+"""Sleeping clay withstands this fraction of its weight sideways or upward: friction and inertia
+hold it."""
 MIN_ACCELERATION = 0.1
-"""What accelerates sleeping clay by less is ignored [m/s²]."""
+"""Imbalances that would accelerate sleeping clay by less than this are ignored [m/s²]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -38,7 +39,7 @@ def sum_reactions(
     region: wp.array[int],
     force: wp.array[wp.vec3],
 ) -> None:
-    """Sum what awake particles do to sleeping ones, by region of those [N]."""
+    """Sum the forces of awake particles on sleeping ones, by region of the latter [N]."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -73,7 +74,7 @@ def sum_support(
 ) -> None:
     """Sum the forces of colliders on sleeping particles [N] and their mass [kg], by region.
 
-    The slots of what sleeps hold forces in place of impulses.
+    The contact slots of sleeping particles hold forces instead of impulses.
     """
     i = wp.tid()
     if pairs.resting[i] == 1:
@@ -84,7 +85,7 @@ def sum_support(
 
 
 class Balance:
-    """Finds sleeping clay that nothing holds any more.
+    """Finds sleeping clay that is no longer held.
 
     Args:
         particles: The clay.
@@ -106,15 +107,15 @@ class Balance:
         pairs: PairRows,
         contacts: Contacts,
     ) -> NDArray[np.bool_]:
-        """Regions that sleep and should not, shape [R].
+        """Which regions sleep but are no longer held, shape [R].
 
         Args:
-            regions: Which parts of the clay sleep.
+            regions: The regions of the clay, asleep and awake.
             shared: What all pairs share.
-            pair_laws: Of each pair of materials.
+            pair_laws: The values of each pair of materials.
             particle_laws: The values of particles of each material.
-            pairs: The rows of neighbours.
-            contacts: What the clay lies on.
+            pairs: The rows of neighbors.
+            contacts: The contacts of the clay.
         """
         asleep, particles = regions.asleep, self.particles
         count, device = len(asleep), particles.device
@@ -122,7 +123,7 @@ class Balance:
         if not occupied.any() or asleep.all():
             return np.zeros(count, bool)
         if self._generation != regions.generation:
-            # What sleeps neither moves nor presses otherwise until then.
+            # Until regions change, sleeping clay neither moves nor presses differently.
             self._generation = regions.generation
             self._piece = self._pieces(regions, occupied)
             self._sum_support(regions, pairs, contacts)
@@ -154,7 +155,7 @@ class Balance:
         return occupied & unborne[self._piece]
 
     def _pieces(self, regions: Regions, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """A number for each connected piece of sleeping clay, by region, shape [R]."""
+        """The number of the connected piece of sleeping clay, by region, shape [R]."""
         boxes, shape = regions.boxes, regions.shape
         reach = BREAK_LENGTH * self.particles.spacing
         label = np.arange(len(occupied))
@@ -196,4 +197,4 @@ _DIAGONALS = tuple(
     for z in (-1, 0, 1)
     if abs(x) + abs(y) + abs(z) > 1 and (x > 0 or y > 0)
 )
-"""With the axes, one of each two opposite ways to a neighbouring region."""
+"""With the axes, one of each pair of opposite directions to a neighboring region."""

@@ -34,11 +34,11 @@ from .solve.conjugate_gradients import ConjugateGradients
 from .solve.spin import Spin
 
 SKIN = 0.6
-"""Extra reach of neighbour lists, in spacings."""
+"""Extra reach of neighbor lists, in spacings."""
 MAX_KEPT_LAWS = 64
-"""Lengths of substep for which what pairs share is kept."""
+"""Lengths of substep for which the shared law is kept."""
 ITERATIONS_PER_REACH = 0.55
-"""Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
+"""Iterations of the last Newton step for each spacing that motion is carried in a substep."""
 MIN_ITERATIONS = 6
 MAX_ITERATIONS = 40
 
@@ -49,25 +49,25 @@ def stand_still(
     velocity: wp.array[wp.vec3],
     direction: wp.array[wp.vec4],
 ) -> None:
-    """Let particles do nothing in any pass that awake neighbours take part in."""
+    """Stop particles, so that they do nothing in the passes of their awake neighbors."""
     i = resting[wp.tid()]
     velocity[i] = wp.vec3()
     direction[i] = wp.vec4()
 
 
 class PlasticBonds:
-    """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
+    """Bonds between neighbors that stretch, yield and flow, and a pressure that keeps the volume.
 
     In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
     each substep solves for all velocities at once, by two Newton steps of conjugate gradients (one
-    does not do: friction and yield follow from what the first finds; more change little)
+    is not enough: friction and yield follow from what the first finds; more change little)
     (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
     doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
     whole-body motion are exact.
 
     Args:
-        particles: What the clay consists of.
-        contacts: What it touches.
+        particles: The clay.
+        contacts: Its contacts with colliders.
         settings: How finely to work.
     """
 
@@ -88,11 +88,11 @@ class PlasticBonds:
             device=device,
         )
         self.pairs = Pairs(particles)
-        # Bonds stay listed however long they are; only pairs that come close must be found.
+        # Bonds stay listed however long they are; the search need only find pairs that come close.
         self.neighbors = Neighbors(particles, self.pairs, PRESS_REACH * spacing, SKIN * spacing)
-        # One more than needed: a substep may be longer than it should by rounding.
-        most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
-        self.gradients = ConjugateGradients(particles, most_iterations)
+        # One more than needed: rounding may make a substep slightly too long.
+        max_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
+        self.gradients = ConjugateGradients(particles, max_iterations)
         self.coarse = CoarseSpace(particles)
         self._balance = Balance(particles)
         self.spin = Spin(particles, self.coarse)
@@ -109,7 +109,7 @@ class PlasticBonds:
     can_sleep = True
 
     def rest(self, resting: NDArray[np.int64], time_step: float) -> None:
-        """Bring particles to rest that fall asleep: to the others they are a wall."""
+        """Stop particles that fall asleep: to the others they are a wall."""
         index = wp.array(resting, dtype=int, device=self.device)
         self.contacts.rest(index, time_step)
         inputs = [
@@ -121,7 +121,7 @@ class PlasticBonds:
         self.coarse.release(resting)
 
     def unheld(self, regions: Regions) -> NDArray[np.bool_]:
-        """Which regions sleep and are held by nothing any more, shape [R]."""
+        """Which regions sleep but are no longer held, shape [R]."""
         return self._balance.unheld(
             regions,
             self.shared_law,
@@ -132,18 +132,18 @@ class PlasticBonds:
         )
 
     def wake(self, woken: NDArray[np.int64]) -> None:
-        """Take up particles that are about to wake; they still count as resting."""
+        """Prepare particles that are about to wake; they still count as resting."""
         index = wp.array(woken, dtype=int, device=self.device)
         self.contacts.wake(index)
         self.neighbors.match(index)
 
     def woken(self) -> None:
-        """Find their neighbours, and lay the coarse cells anew."""
+        """Find the neighbors of particles that have woken, and lay new coarse cells."""
         self.neighbors.rebuild()
         self.coarse.release(np.zeros(0, int))
 
     def begin_step(self) -> None:
-        """Lay the coarse cells over the clay, and see how they turn."""
+        """Lay the coarse cells over the clay, and measure how they turn."""
         self.coarse.place_cells(self.neighbors.rebuild_count)
         self.spin.measure()
 
@@ -152,7 +152,7 @@ class PlasticBonds:
         self.neighbors.rebuild_if_moved()
         self._prepare_law(substep.time_step)
         turns = self.spin.prepare(substep.time_step)
-        # Generations, not addresses: a new array may lie where an old one was.
+        # Generations, not addresses: a new array may have the address of an old one.
         key = (
             substep.time_step,
             substep.time_step_before,
@@ -168,9 +168,9 @@ class PlasticBonds:
     def _iterations(self, time_step: float) -> tuple[int, int]:
         """Iterations in each Newton step, for substeps of ``time_step`` [s].
 
-        They grow with how far a shear wave runs in that time, and how far viscosity carries motion;
-        beyond the size of a coarse cell, the coarse space does. Shorter substeps need no more. The
-        first step only finds where clay yields and what slides: a third as many do (measured).
+        They grow with how far shear waves and viscosity carry motion in that time; beyond the size
+        of a coarse cell, the coarse space carries it. Shorter substeps need no more. The first step
+        only finds where clay yields and slides: a third as many iterations suffice (measured).
         """
         last = self.settings.iterations
         if last is None:
@@ -180,7 +180,7 @@ class PlasticBonds:
         return -(-last // 3), last
 
     def _prepare_law(self, time_step: float) -> None:
-        """Take up what all pairs share in a substep; recordings hold on to those made before."""
+        """Choose the shared law of a substep; recordings refer to those made before."""
         if time_step not in self._shared_laws:
             if len(self._shared_laws) >= MAX_KEPT_LAWS:
                 self._shared_laws.clear()
@@ -192,7 +192,7 @@ class PlasticBonds:
         self.shared_law = self._shared_laws[time_step]
 
     def _open(self, substep: ContactPass, turns: bool) -> None:
-        """Everything up to the coarse matrix; ``turns`` says whether anything spins."""
+        """Do everything up to the coarse matrix; ``turns`` says whether anything spins."""
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
@@ -204,7 +204,7 @@ class PlasticBonds:
         self.coarse.assemble(self.own_block, self.pairs)
 
     def _close(self, substep: ContactPass) -> None:
-        """Newton's method, and what follows from the velocities it finds."""
+        """Solve by Newton's method, and apply the velocities it finds."""
         for newton, iterations in enumerate(self._iterations(substep.time_step)):
             if newton > 0:
                 self.pairs.measure(self.shared_law, self.particle_laws)
@@ -224,7 +224,7 @@ class PlasticBonds:
         self.neighbors.measure()
 
     def _linearize(self, substep: ContactPass) -> None:
-        """Residual and tangent of pairs and contacts at the present velocities."""
+        """Find residual and tangent of pairs and contacts at the present velocities."""
         residual = self.gradients.residual
         self.pairs.sum_forces(
             self.shared_law, self.pair_laws, self.particle_laws, residual, self.diagonal
@@ -237,15 +237,15 @@ class PlasticBonds:
 
     @property
     def overflow(self) -> int:
-        """Neighbours that found no room, since the beginning."""
+        """Neighbors that found no room, since the start."""
         return self.neighbors.overflow
 
     def passes(self) -> list[str]:
-        """What a substep consists of."""
-        return ["neighbour lists", "bonds" if self.settings.elastoplasticity else "pressure"]
+        """The passes of a substep."""
+        return ["neighbor lists", "bonds" if self.settings.elastoplasticity else "pressure"]
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Bonds, and what they have been through."""
+        """Bonds and their history."""
         return {
             "condition": self.pairs.rows.condition.numpy().copy(),
             **self.neighbors.snapshot(),
@@ -253,11 +253,11 @@ class PlasticBonds:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore the state that `snapshot` returned."""
         self.pairs.rows.condition.assign(state["condition"])
         self.neighbors.restore(state)
         self.coarse.restore(state)
-        # What sleeps must do nothing in any pass.
+        # Sleeping particles must do nothing in any pass.
         self.gradients.data.direction.zero_()
 
 

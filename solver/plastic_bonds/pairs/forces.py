@@ -92,7 +92,8 @@ def flow_pairs(
 ) -> None:
     """Keep what flowed: write the bonds' new rest lengths, and drop those that broke.
 
-    Lengths are those at the final velocities; volume and stress those last linearised at.
+    Lengths are those at the final velocities; volume and stress are those of the last
+    linearization.
     """
     i = awake_particle(awake, wp.tid())
     if i < 0:

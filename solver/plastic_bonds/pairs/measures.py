@@ -28,7 +28,7 @@ def lay_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: 
         apart = wp.length(offset)
         direction = offset / wp.max(apart, floor)
         if apart <= floor:
-            # Coincident particles part along a direction that both ends agree on.
+            # Coincident particles separate along a direction that both ends agree on.
             seed = wp.rand_init(wp.min(i, j), wp.max(i, j))
             direction = wp.sample_unit_sphere_surface(seed)
             if i > j:
@@ -94,7 +94,7 @@ def lay_pairs(
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
 ) -> None:
-    """Find the pairs that act, their directions and distances, and measure."""
+    """Find the pairs that act with their directions and distances, and measure over them."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         sort_row(shared, position, pairs, i)

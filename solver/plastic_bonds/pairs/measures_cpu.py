@@ -174,7 +174,7 @@ def lay_pairs(
     pairs: PairRows,
     left: wp.array[int],
 ) -> None:
-    """`measures.lay_pairs`, which itself takes coincident particles and rows that change."""
+    """`measures.lay_pairs`; rows that change and coincident particles are left to its functions."""
     block = wp.tid()
     rows_left = lay_block(
         block, awake, shared, particle_laws, material, position, velocity, pairs, left

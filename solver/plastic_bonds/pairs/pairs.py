@@ -23,7 +23,7 @@ _BY_SLOT = (
 
 @wp.kernel(enable_backward=False)
 def copy_rows(before: PairRows, after: PairRows) -> None:
-    """Carry neighbours and rest lengths over to another layout."""
+    """Copy neighbors and rest lengths to another layout."""
     i = wp.tid()
     for e in range(after.listed[i]):
         after.other[after.first[i] + e] = before.other[before.first[i] + e]
@@ -45,15 +45,15 @@ def move_rows(
 
 
 def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Slots to give to rows: a little more than needed, so that they need not move often."""
+    """Slots to give to rows: a few more than needed, so that rows seldom move."""
     return (np.minimum(needed + 4, MAX_SLOTS) + 7) // 8 * 8
 
 
 class Pairs:
-    """The rows of neighbours and the passes over those that act.
+    """The rows of neighbors and the passes over those that act.
 
     Args:
-        particles: Whose pairs.
+        particles: The particles that are paired.
     """
 
     def __init__(self, particles: Particles) -> None:
@@ -76,10 +76,10 @@ class Pairs:
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
     def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
-        """Give some rows the room they need, behind all others while there is space.
+        """Give some rows the room they need, after all others while there is space.
 
         Args:
-            short: Which rows are too short, shape [S].
+            short: Indices of the rows that are too short, shape [S].
             needed: Slots for each particle, shape [N].
         """
         rows, device = self.rows, self.particles.device
@@ -100,7 +100,7 @@ class Pairs:
         wp.launch(move_rows, dim=len(short), inputs=inputs, device=device)
 
     def lay_out(self, needed: NDArray[np.int32]) -> None:
-        """Give every row as much room as it needs, and keep what is in the rows.
+        """Give every row as much room as it needs, keeping its contents.
 
         Args:
             needed: Slots for each particle, shape [N].
@@ -113,7 +113,7 @@ class Pairs:
         before.rest_length = wp.clone(rows.rest_length)
         total = self._used = int(room.sum())
         if total > self._slots:
-            # Recordings hold on to arrays: new ones should not be needed often.
+            # Recordings refer to arrays: new ones should seldom be needed.
             self._slots = total + total // 3
             rows.other = wp.zeros(self._slots, dtype=int, device=device)
             for name in ("rest_length", *_BY_SLOT):
@@ -124,9 +124,9 @@ class Pairs:
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
 
     def gather(self, shared: SharedLaw, particle_laws: wp.array) -> None:
-        """Collect the pairs that act from here, and measure them at the present velocities."""
+        """Find the pairs that act at the present positions, and `measure` them."""
         particles = self.particles
-        # The CPU's pass needs a list of the rows that it leaves to the plain one.
+        # The CPU's pass notes the rows that it leaves to the plain functions.
         left = [self._left] if particles.device.is_cpu else []
         self._launch(
             self._measures.lay_pairs,
@@ -159,7 +159,7 @@ class Pairs:
         residual: wp.array,
         diagonal: wp.array,
     ) -> None:
-        """Residual impulse and tangent at the present velocities; `measure` comes first."""
+        """Find residual impulse and tangent at the present velocities. Call `measure` first."""
         particles = self.particles
         self._launch(
             self._forces.sum_forces,
@@ -184,16 +184,16 @@ class Pairs:
         curvature: wp.array,
         iteration: int,
     ) -> None:
-        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
+        """Multiply a direction [m/s] by the tangent. Call `sum_forces` first.
 
         Args:
             shared: What all pairs share.
             particle_laws: The values of particles of each material.
             own_block: Mass and contacts alone [kg].
-            direction: What to multiply [m/s]; with room behind for how pressures change.
+            direction: What to multiply [m/s]; the fourth number takes the change of pressure.
             product: The product [N s].
             curvature: Direction times product is added to it, by part and iteration [J].
-            iteration: Which.
+            iteration: The column of ``curvature``.
         """
         particles = self.particles
         self._launch(

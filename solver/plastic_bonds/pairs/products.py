@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiplying a direction of search by the tangent of all pairs, without ever forming a matrix.
+"""Multiplying a search direction by the tangent of all pairs, without ever forming a matrix.
 
-First each compressed particle finds how the motion changes its pressure, then each particle gathers
-what bonds, dampers and pressures of its pairs answer.
+First each compressed particle finds how the motion changes its pressure, then each particle sums
+the responses of the bonds, dampers and pressures of its pairs.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ from .rows import COMPRESSION, PairRows, pair_direction
 
 @wp.func
 def motion(direction: wp.vec4) -> wp.vec3:
-    """The motion of a particle in a direction of search, without the change of its pressure."""
+    """Motion of a particle in a search direction, without the change of its pressure."""
     return wp.vec3(direction[0], direction[1], direction[2])
 
 
@@ -28,7 +28,7 @@ def press_pairs(
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None:
-    """How a motion changes the pressure of compressed particles; kept beside the motion."""
+    """Find how a motion changes the pressure of compressed particles; keep it with the motion."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return

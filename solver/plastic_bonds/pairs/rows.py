@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The rows of neighbors: where the pairs that act in a substep are kept.
 
-Each particle keeps a row of neighbours, one row behind the other in arrays as long as needed. The
-first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbour's
+Each particle keeps a row of neighbors; the rows lie end to end in arrays as long as needed. The
+first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbor's
 index and the pair's rest length: 0 for a free pair, negative while a new bond is being counted in,
 positive for a bond. Every pair is kept at both ends, so that each particle gathers its own sum: no
 pass needs atomics. Both ends compute the same numbers from the same values, so forces are equal and
-opposite and rest lengths stay equal, but for rounding. A pair's direction is that at the start of
-the substep, its length that at the end: so pair forces conserve angular momentum exactly.
+opposite and rest lengths stay equal, up to rounding. A pair's direction is taken at the start
+of the substep and its length at the end, so pair forces conserve angular momentum exactly.
 """
 
 import warp as wp
@@ -20,7 +20,7 @@ DILATION = wp.constant(1)
 SHARE = wp.constant(2)
 DAMPING = wp.constant(3)
 MAX_SLOTS = 96
-"""Neighbours a particle can list: clay at three times its density within two spacings."""
+"""Neighbors a particle can list: enough for clay at three times its density within two spacings."""
 
 ROW = """
     const int acting = pairs.acting.data[i];
@@ -52,14 +52,15 @@ class PairRows:
     acting: wp.array[int]
     """Slots that act, from the first."""
     resting: wp.array[int]
-    """1 for a particle that sleeps: it forms no bonds."""
+    """1 for a particle that sleeps; it forms no bonds."""
     other: wp.array[int]
+    """Index of the neighbor."""
     rest_length: wp.array[float]
     """[m]; 0 for a free pair, negative while a bond is counted in."""
     direction_x: wp.array[float]
     direction_y: wp.array[float]
     direction_z: wp.array[float]
-    """Towards the other, at the start of the substep; kept by axis for vector units."""
+    """Unit vector toward the neighbor at the start of the substep; by axis for vector units."""
     distance: wp.array[float]
     """At the start of the substep [m]."""
     distance_next: wp.array[float]
@@ -69,10 +70,10 @@ class PairRows:
     slope: wp.array[float]
     """How fast the pair's share of the density falls with distance [1/m]."""
     condition: wp.array[wp.vec4]
-    """What the others must know of a particle, one behind the other for vector units: at
-    `COMPRESSION` density over that at rest, less one, where positive; at `DILATION` the mean linear
-    strain of its bonds; at `SHARE` the part of their stretch that its bonds lose by flow in the
-    substep; at `DAMPING` its damping of the parting of pairs [N s/m]."""
+    """What neighbors need to know of a particle, packed for vector units: at `COMPRESSION` its
+    density over that at rest, less one, where positive; at `DILATION` the mean linear strain of its
+    bonds; at `SHARE` the fraction of their stretch that its bonds lose by flow in the substep; at
+    `DAMPING` how it damps the parting of pairs [N s/m]."""
 
 
 @wp.func
@@ -83,7 +84,7 @@ def pair_direction(pairs: PairRows, slot: int) -> wp.vec3:
 
 @wp.func
 def swap_slots(pairs: PairRows, a: int, b: int) -> None:
-    """Exchange two neighbours of a row."""
+    """Exchange two neighbors of a row."""
     other = pairs.other[a]
     rest = pairs.rest_length[a]
     pairs.other[a] = pairs.other[b]
@@ -94,7 +95,7 @@ def swap_slots(pairs: PairRows, a: int, b: int) -> None:
 
 @wp.func
 def keep_bonds(pairs: PairRows, i: int) -> int:
-    """Pack a row's bonds to its front, and say how many they are."""
+    """Pack a row's bonds to its front and return how many there are."""
     first = pairs.first[i]
     used = first
     for slot in range(first, first + pairs.acting[i]):
@@ -109,7 +110,7 @@ def keep_bonds(pairs: PairRows, i: int) -> int:
 
 @wp.func
 def sort_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Let go of pairs that no longer act, take up those that come close, count new bonds in."""
+    """Drop pairs that no longer act, add those that come close, count new bonds in."""
     x = position[i]
     first = pairs.first[i]
     end = first + pairs.acting[i]

@@ -367,9 +367,9 @@ def test_rest_lengths_are_equal_at_both_ends(pressed: PlasticBonds):
 
 
 def test_rows_are_filled_the_same(pressed: PlasticBonds):
-    """List the same neighbours from sorted cells as from a hash grid."""
+    """List the same neighbors from sorted cells as from a hash grid."""
     body, rows = pressed.particles, pressed.pairs.rows
-    # Rows that are too short keep any of the neighbours.
+    # Rows that are too short keep any of the neighbors.
     pressed.neighbors.rebuild()
     reach = pressed.neighbors.reach
     grid = wp.HashGrid(16, 16, 16, device="cpu")
