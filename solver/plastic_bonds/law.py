@@ -20,10 +20,11 @@ shear viscosity Σ c l² / 30 V (the same sum as for the modulus of a network of
 particle's c follows from that.
 
 Each formula is written once, in `FORMULAS`, for numbers that are floats or lanes of floats. The
-passes for the CPU's vector units (`pairs.rows_cpu`, `pairs.products_cpu`) include that text and use
-it on eight pairs at a time; `law_functions` has each formula as a Warp function of one pair, for
-the plain kernels. Where the text stands there is ``shared``, a `law_data.SharedLaw`; ``own`` is a
-`law_data.ParticleLaw`. A formula's units are at its Warp function.
+passes for the CPU's vector units (`measures_cpu`, `forces_cpu` and `products_cpu` in `pairs`)
+include that text and apply it to eight pairs at a time; `law_functions` offers each formula as a
+Warp function of one pair to the plain kernels, which also run on graphics cards. The text expects a
+`law_data.SharedLaw` named ``shared`` in scope; ``own`` is a `law_data.ParticleLaw`. Arguments and
+units are documented at the Warp functions.
 """
 
 FORGETTING = 20.0
@@ -95,16 +96,15 @@ FORMULAS = (
         return t * t * slope_scale;
     };
     // Density over that at rest, less one, where positive; from the sum of the neighbors' kernel
-    // values and the length of the sum of these along the directions to them. A particle at a
-    // surface is given what it lacks for want of neighbors: otherwise clay would be pressed
-    // together there until the others made up for them.
+    // values and the length of the sum of these times the directions to them. A particle at a
+    // surface is credited with neighbors that it lacks: otherwise clay would be pressed together
+    // there until the others made up for them.
     auto compression_of = [&](float neighbors, float lopsided) ALWAYS_INLINE {
         const float beyond = lopsided * shared.inverse_rest_sum - shared.surface_floor;
         const float surface = most(shared.surface_gain * beyond, 0.f);
         return most((1.f + neighbors) * shared.inverse_rest_sum - 1.f + surface, 0.f);
     };
-    // The derivative of a particle's pressure force, times dt² and by the square of its change of
-    // density [kg m²].
+    // Derivative of a particle's pressure by its density, times dt² [kg m²].
     auto pressure_tangent = [&](auto pressure_stiffness) ALWAYS_INLINE {
         return pressure_stiffness * dt_squared;
     };
@@ -115,7 +115,8 @@ FORMULAS = (
     auto bond_hold = [&](auto rest) ALWAYS_INLINE {
         return least(most((shared.break_length - rest) * shared.inverse_fade, 0.f), 1.f);
     };
-    // A bond's term, along its direction twice, in a particle's sum of stretch times length [m²].
+    // A bond's term in a particle's sum of stretch times length [m²], to be multiplied by the dyad
+    // of the bond's direction.
     auto bond_stretch = [&](auto hold, auto rest, auto apart) ALWAYS_INLINE {
         return hold * ((apart - rest) * apart);
     };
@@ -124,7 +125,7 @@ FORMULAS = (
     auto dilation_of = [&](float trace, float lengths) ALWAYS_INLINE {
         return trace / most(lengths, MIN_LENGTHS * area);
     };
-    // The yield law: part of their stretch that a particle's bonds lose in one substep.
+    // The yield law: fraction of their stretch that a particle's bonds lose in one substep.
     auto flow_share = [&](const auto& own, float xx, float yy, float zz, float xy, float xz,
                           float yz) ALWAYS_INLINE {
         const float mean = (xx + yy + zz) * (1.f / 3.f);

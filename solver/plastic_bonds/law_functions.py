@@ -103,7 +103,7 @@ def dilation_of(shared: SharedLaw, trace: float, lengths: float) -> float:  # ty
 def flow_share(  # type: ignore[empty-body]
     shared: SharedLaw, own: ParticleLaw, stretch: wp.mat33
 ) -> float:
-    """The yield law: part of their stretch that a particle's bonds lose in one substep.
+    """The yield law: fraction of their stretch that a particle's bonds lose in one substep.
 
     Args:
         shared: What all pairs share.
@@ -139,7 +139,7 @@ def flow_bond(  # type: ignore[empty-body]
         rest: Rest length before [m].
         apart: Present distance [m].
         dilation: Mean linear strain of both ends' bonds: a change of volume, which does not yield.
-        share: Part of the stretch that flows, mean of both ends.
+        share: Fraction of the stretch that flows, mean of both ends.
         pressed: Whether one of the ends is under pressure.
     """
 
