@@ -188,8 +188,8 @@ FORMULAS = (
     auto pair_tangent = [&](auto stiffness, auto softening, auto damping) ALWAYS_INLINE {
         return damping * dt + stiffness * softening * dt_squared;
     };
-    // What the tangent answers to a motion of the ends [kg m/s]: by the speed at which it brings
-    // them together [m/s] and the changes of both pressures that come with it.
+    // Response of the tangent to a motion of the ends [kg m/s], from the speed at which the motion
+    // brings them together [m/s] and how it changes both pressures.
     auto tangent_pull = [&](auto tangent, auto closing, auto slope, auto pressures) ALWAYS_INLINE {
         return tangent * closing + slope * pressures;
     };

@@ -28,7 +28,7 @@ BREAK_LENGTH = 1.9
 """A bond longer than this breaks, in spacings."""
 FADE_LENGTH = 1.5
 """A bond longer than this holds less and less, in spacings: breaking under its full load would
-jolt the shared."""
+jolt the clay."""
 MIN_REST_LENGTH = 0.6
 """Rest lengths never fall below this, in spacings."""
 DWELL = 2.0

@@ -173,11 +173,11 @@ def pair_pull(  # type: ignore[empty-body]
 
     Args:
         shared: What all pairs share.
-        damping: Of the pair's parting [N s/m].
-        parted: By how much it parts in the substep [m].
+        damping: Damping of the pair [N s/m].
+        parted: How far the ends part in the substep [m].
         pressures: Pressure stiffness times compression, sum of both ends [J].
-        slope: Of the kernel [1/m].
-        stiffness: Of the bond [N/m]; 0 for a free pair.
+        slope: Slope of the kernel [1/m].
+        stiffness: Stiffness of the bond, 0 for a free pair [N/m].
         stretch: Length less the rest length after flow [m].
     """
 
@@ -193,12 +193,12 @@ def pair_tangent(  # type: ignore[empty-body]
 def tangent_pull(  # type: ignore[empty-body]
     shared: SharedLaw, tangent: float, closing: float, slope: float, pressures: float
 ) -> float:
-    """What the tangent answers to a motion of a pair's ends [kg m/s].
+    """Response of the tangent to a motion of a pair's ends [kg m/s].
 
     Args:
         shared: What all pairs share.
         tangent: `pair_tangent` [kg].
         closing: Speed at which the motion brings the ends together [m/s].
-        slope: Of the kernel [1/m].
+        slope: Slope of the kernel [1/m].
         pressures: Changes of the pressures of both ends [kg m²/s].
     """
