@@ -105,7 +105,7 @@ class SharedLaw:
 
 
 def _lattice() -> tuple[np.ndarray, np.ndarray]:
-    """A particle's neighbors on a cubic lattice of unit spacing, and (1 - r/h)³ of each."""
+    """Neighbors on a cubic lattice of unit spacing, and the kernel of `law` at each."""
     axis = np.arange(-2, 3)
     lattice = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
     distance = np.linalg.norm(lattice, axis=1)

@@ -22,7 +22,7 @@ from tactile_clay.solver.plastic_bonds.pairs import (
     rows,
 )
 from tactile_clay.tests.experiments.shapes import block
-from tactile_clay.tests.solver.plastic_bonds.pairs.two_ways import (
+from tactile_clay.tests.solver.plastic_bonds.two_ways import (
     acting,
     compare,
     conditions,
