@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from ..colliders.colliders import MeshColliders, PlaneColliders
 from ..core.particles import ByPart, Particles
-from ..plastic_bonds.cutting import cut_bonds, cut_bonds_of_block
-from ..plastic_bonds.pairs.rows import PairRows
 from ..scene.hand import Hand
 from ..scene.scene import MeshCollider, Plane, Scene
 from . import contacts_cpu as contact_cpu
@@ -51,7 +49,8 @@ class Contacts:
         self.meshes = MeshColliders(scene, particles) if scene.meshes or scene.hands else None
         self.time_step = 0.0
         """Length of the last substep [s]."""
-        self._plane_count = len(scene.planes)
+        self.plane_count = len(scene.planes)
+        """Planes come first among the colliders."""
         rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
         slots = ContactSlots()
         for name, dtype in (
@@ -197,7 +196,7 @@ class Contacts:
         if self.meshes:
             # Arrays may have given way to larger ones.
             around.pose = self.meshes.pose
-        self._launch(
+        self.launch(
             (find_all_contacts, contact_cpu.find_all_contacts),
             common,
             around,
@@ -205,12 +204,6 @@ class Contacts:
             self.particles.velocity,
             self.slots,
         )
-
-    def cut(self, pairs: PairRows) -> None:
-        """Break bonds across meshes thinner than they are long; `find` comes first."""
-        if self.meshes:
-            kernels = (cut_bonds, cut_bonds_of_block)
-            self._launch(kernels, self._plane_count, self.particles.position, self.slots, pairs)
 
     def press(
         self,
@@ -230,7 +223,7 @@ class Contacts:
             own_block: Mass and contacts alone [kg], written where there may be contacts.
         """
         particles = self.particles
-        self._launch(
+        self.launch(
             (press_all_contacts, contact_cpu.press_all_contacts),
             common,
             self.friction,
@@ -251,7 +244,7 @@ class Contacts:
             common: The substep.
             change: What the last solve changed of the velocities [m/s].
         """
-        self._launch(
+        self.launch(
             (settle_all_contacts, contact_cpu.settle_all_contacts),
             common,
             self.friction,
@@ -263,7 +256,7 @@ class Contacts:
             ByPart.rows(self.deepest),
         )
 
-    def _launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
+    def launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
         """Run a pass, by the plain kernel or the CPU's; nothing where there are no colliders."""
         if not self.colliders:
             return
