@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.scene.material import Material
-from ..clay.make_clay import ClayError, make_clay
+from ..clay.make_clay import make_clay
+from ..clay.meshes import ClayError
 from ..model.clay_scene import clay_objects, collider_objects
 from ..model.user_materials import MATERIAL_VALUES
 from .parts import mesh_object, plain_material

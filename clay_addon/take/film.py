@@ -18,9 +18,11 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...solver.geometry.closed_mesh import closed_mesh
 from ..base.preferences import missing_parts
 from ..clay.look import MODIFIER_NAME, add_look, get_input, set_input
-from ..clay.make_clay import ClayError, fill_pieces, make_point_cloud
+from ..clay.make_clay import make_point_cloud
+from ..clay.meshes import ClayError, Piece, fill_pieces
 from ..core.surface.exact import SurfaceError, reconstruct
 from ..core.take.frames import nearest
 from ..hands.hand import hand_objects, make_hand, scene_spacing
@@ -120,9 +122,9 @@ def _filled(
             surface = reconstruct(positions, each)
         except (SurfaceError, ImportError) as error:
             raise FilmError(f"{item.name!r} at the take's beginning: {error}") from error
-        shapes.append((item.name, surface.vertices, surface.faces.astype(np.int32)))
+        shapes.append(Piece(item.name, closed_mesh(surface.vertices, surface.faces)))
     try:
-        points = fill_pieces(shapes, spacing, scene)
+        points = fill_pieces(shapes, spacing, scene, follow_thin_walls=True).points
     except ClayError as error:
         raise FilmError(f"At the take's beginning: {error}") from error
     return [
