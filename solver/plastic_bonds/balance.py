@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactSlots
 from ..core.awake import Awake, awake_particle
 from ..core.particles import Particles

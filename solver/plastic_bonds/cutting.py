@@ -8,9 +8,9 @@ other touches.
 
 import warp as wp
 
-from ..contact.contacts import Contacts
-from ..contact.contacts_cpu import Near
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactSlots
+from ..contact.passes_cpu import Near
 from ..core.awake import Awake, awake_particle
 from ..core.vector_units import BLOCK
 from .pairs.rows import PairRows

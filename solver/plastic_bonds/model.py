@@ -7,12 +7,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactPass
 from ..core.particles import Particles
 from ..core.recording import Recordings
 from ..core.regions import Regions
 from ..scene.material import Material
+from ..scene.scene import Scene
 from ..scene.settings import BASE_STEP, Settings
 from .balance import Balance
 from .cutting import cut_all_bonds
@@ -66,24 +67,28 @@ class PlasticBonds:
     whole-body motion are exact.
 
     Args:
+        scene: What the clay is made of.
         particles: The clay.
         contacts: Its contacts with colliders.
         settings: How finely to work.
     """
 
-    def __init__(self, particles: Particles, contacts: Contacts, settings: Settings) -> None:
+    def __init__(
+        self, scene: Scene, particles: Particles, contacts: Contacts, settings: Settings
+    ) -> None:
         self.particles = particles
         self.contacts = contacts
         self.settings = settings
         count, spacing, device = particles.count, particles.spacing, particles.device
         self.device = device
         self.diagonal = wp.zeros(count, dtype=wp.mat33, device=device)
-        masses = np.array([m.density * spacing**3 for m in particles.materials])
+        self._materials, _ = scene.materials()
+        masses = np.array([m.density * spacing**3 for m in self._materials])
         own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
         self.own_block = wp.array(own, dtype=wp.mat33, device=device)
         """Mass and contacts of each particle [kg]."""
         self.particle_laws = wp.array(
-            make_particle_laws(particles.materials, settings, spacing),
+            make_particle_laws(self._materials, settings, spacing),
             dtype=ParticleLaw,
             device=device,
         )
@@ -98,7 +103,7 @@ class PlasticBonds:
         self.spin = Spin(particles, self.coarse)
         self._recordings = Recordings(particles)
         self._shared_laws: dict[float, SharedLaw] = {}
-        laws = make_pair_laws(particles.materials, spacing)
+        laws = make_pair_laws(self._materials, spacing)
         self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
         self._prepare_law(BASE_STEP / settings.substeps)
         if count:
@@ -174,7 +179,7 @@ class PlasticBonds:
         """
         last = self.settings.iterations
         if last is None:
-            farthest = max((_reach(m, time_step) for m in self.particles.materials), default=0.0)
+            farthest = max((_reach(m, time_step) for m in self._materials), default=0.0)
             last = round(ITERATIONS_PER_REACH * farthest / self.particles.spacing)
             last = min(max(last, MIN_ITERATIONS), MAX_ITERATIONS)
         return -(-last // 3), last
@@ -187,7 +192,7 @@ class PlasticBonds:
                 self._recordings.clear()
             particles = self.particles
             self._shared_laws[time_step] = make_shared_law(
-                self.settings, particles.spacing, len(particles.materials), time_step
+                self.settings, particles.spacing, len(self._materials), time_step
             )
         self.shared_law = self._shared_laws[time_step]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from tactile_clay.solver.contact import contacts_cpu as contact_cpu
 from tactile_clay.solver.contact import law as contact_law
+from tactile_clay.solver.contact import passes_cpu
 from tactile_clay.solver.contact import search as contact_search
 from tactile_clay.solver.core import particles, particles_cpu
 from tactile_clay.solver.core.particles import ByPart
@@ -33,7 +33,7 @@ def test_contacts_are_found_the_same(pressed: PlasticBonds):
     compare(
         pressed,
         lambda: body.launch(contact_search.find_all_contacts, *inputs),
-        lambda: body.launch_blocks(contact_cpu.find_all_contacts, *inputs, contacts._near),
+        lambda: body.launch_blocks(passes_cpu.find_all_contacts, *inputs, contacts._near),
         [slots.count, slots.collider, slots.anchor, around.clearance],
         per_particle(slots.count, slots.gap, slots.normal, around.clearance),
     )

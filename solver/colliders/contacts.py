@@ -8,12 +8,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..colliders.colliders import MeshColliders, PlaneColliders
-from ..core.particles import ByPart, Particles
-from ..scene.hand import Hand
-from ..scene.scene import MeshCollider, Plane, Scene
-from . import contacts_cpu as contact_cpu
-from .law import (
+from ..contact import passes_cpu
+from ..contact.law import (
     DEPENETRATION_SPEED,
     MOST_CONTACTS,
     ContactPass,
@@ -23,7 +19,12 @@ from .law import (
     settle_all_contacts,
     wake_contacts,
 )
-from .search import Surroundings, find_all_contacts
+from ..contact.search import Surroundings, find_all_contacts
+from ..core.particles import ByPart, Particles
+from ..scene.hand import Hand
+from ..scene.scene import MeshCollider, Plane, Scene
+from .meshes import MeshColliders
+from .planes import PlaneColliders
 
 
 class Contacts:
@@ -92,9 +93,10 @@ class Contacts:
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
         slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots
-        table = np.zeros((max(len(particles.materials), 1), max(len(self.colliders), 1)))
+        materials, _ = scene.materials()
+        table = np.zeros((max(len(materials), 1), max(len(self.colliders), 1)))
         if friction:
-            for row, material in enumerate(particles.materials):
+            for row, material in enumerate(materials):
                 for column, collider in enumerate(self.colliders):
                     table[row, column] = math.sqrt(material.friction * collider.friction)
         self._full_friction = table
@@ -121,7 +123,7 @@ class Contacts:
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
         self._near = (
-            ByPart(contact_cpu.make_near(particles.count, device) for _ in range(particles.parts))
+            ByPart(passes_cpu.make_near(particles.count, device) for _ in range(particles.parts))
             if device.is_cpu
             else None
         )
@@ -197,7 +199,7 @@ class Contacts:
             # Arrays may have given way to larger ones.
             around.pose = self.meshes.pose
         self.launch(
-            (find_all_contacts, contact_cpu.find_all_contacts),
+            (find_all_contacts, passes_cpu.find_all_contacts),
             common,
             around,
             self.particles.position,
@@ -224,7 +226,7 @@ class Contacts:
         """
         particles = self.particles
         self.launch(
-            (press_all_contacts, contact_cpu.press_all_contacts),
+            (press_all_contacts, passes_cpu.press_all_contacts),
             common,
             self.friction,
             particles.material,
@@ -245,7 +247,7 @@ class Contacts:
             change: What the last solve changed of the velocities [m/s].
         """
         self.launch(
-            (settle_all_contacts, contact_cpu.settle_all_contacts),
+            (settle_all_contacts, passes_cpu.settle_all_contacts),
             common,
             self.friction,
             self.particles.material,
