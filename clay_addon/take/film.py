@@ -30,6 +30,7 @@ from ..hands.reading import HandError, hand_armature
 from ..hands.store import load_hand, stored_spacing
 from ..model.clay_scene import clay_objects, collider_objects
 from ..model.collider import TAKE_TOOL
+from ..model.material_properties import copy_material
 from .film_edits import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
 from .pose import followed
@@ -38,7 +39,6 @@ from .store import take_edits, take_start
 FINER = 0.5
 """Spacing of the film's clay over that of the live one, where none is chosen."""
 _SAME_SPACING = 0.01
-_MATERIAL = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
 _TAKE = re.compile(r"_take_\d{3,}$")
 
 
@@ -195,9 +195,7 @@ def _make_clay(
     properties.role = "CLAY"
     properties.spacing = spacing
     properties.material_preset = before.material_preset
-    for name in _MATERIAL:
-        if getattr(properties, name) != getattr(before, name):
-            setattr(properties, name, getattr(before, name))
+    copy_material(before, properties)
     for material in live.data.materials:
         clay.data.materials.append(material)
     modifier = add_look(clay, spacing=spacing)
