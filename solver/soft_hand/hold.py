@@ -12,8 +12,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.rotations import (
+    matrices_from_rotation_vectors,
+    product,
+    quaternions_from_matrices,
+)
 from ..hand.rig import HandRig
-from .bones import product, quaternions
 
 Array = NDArray[np.float64]
 
@@ -84,7 +88,7 @@ class Hold:
             self._heads = poses[:, :3, 3].copy()
             self.change = np.tile(np.eye(4), (len(poses), 1, 1))
             return poses, frames
-        rotation = _rotations(self.turn)
+        rotation = matrices_from_rotation_vectors(self.turn)
         change = np.zeros_like(poses)
         heads = poses[:, :3, 3]
         for bones in self._levels:
@@ -100,7 +104,7 @@ class Hold:
         self.change = change
         yielded = change @ poses
         self._heads = yielded[:, :3, 3]
-        return yielded, product(quaternions(change[:, :3, :3]), frames)
+        return yielded, product(quaternions_from_matrices(change[:, :3, :3]), frames)
 
     def _asked(self, nodes: Array, load: Array) -> tuple[Array, Array]:
         """What a load [N] on nodes at some places [m] turns joints and moves roots by."""
@@ -153,14 +157,3 @@ def _levels(parent: NDArray[np.int32]) -> list[NDArray[np.int64]]:
         if above >= 0:
             depth[bone] = depth[above] + 1
     return [np.flatnonzero(depth == level) for level in range(depth.max(initial=0) + 1)]
-
-
-def _rotations(vectors: Array) -> Array:
-    """Rotation matrices of rotation vectors [rad], shape [B, 3, 3] (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    safe = np.maximum(angle, 1e-12)
-    x, y, z = (vectors / safe[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), -1, 0)
-    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
-    return np.eye(3) + sine * cross + versine * (cross @ cross)
