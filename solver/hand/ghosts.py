@@ -14,6 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ..core.recording_lock import recording_lock
+
 COVER_RADIUS = 0.57
 """A ghost covers the surface this far around it, in ghost spacings."""
 CANDIDATE_SPACING = 0.2
@@ -198,32 +200,33 @@ def _cover(
     # Neighbours in space as neighbours in memory: several times faster.
     cell = np.floor((place - place.min(0)) / radius).astype(np.int64)
     sorting = np.lexsort(cell.T)
-    # About their middle, where float32 resolves them best.
-    points = wp.array((place - place.mean(0))[sorting], dtype=wp.vec3, device="cpu")
     # Choosing without pattern: along the rows of a cut, each ghost would cover half of what the
     # one before it does.
     order = np.random.default_rng(0).permutation(count)
-    grid = wp.HashGrid(_COVER_CELLS, _COVER_CELLS, _COVER_CELLS, device="cpu")
-    grid.build(points, radius)
-    owner = wp.full(count, -1, dtype=int, device="cpu")
-    chosen = wp.zeros(count, dtype=int, device="cpu")
-    chosen_count = wp.zeros(1, dtype=int, device="cpu")
-    wp.launch(
-        choose_cover,
-        dim=1,
-        inputs=[
-            grid.id,
-            radius,
-            wp.array(order, dtype=int, device="cpu"),
-            points,
-            wp.array(normal[sorting], dtype=wp.vec3, device="cpu"),
-            wp.full(count, np.inf, dtype=float, device="cpu"),
-            owner,
-            chosen,
-            chosen_count,
-        ],
-        device="cpu",
-    )
+    with recording_lock:
+        # About their middle, where float32 resolves them best.
+        points = wp.array((place - place.mean(0))[sorting], dtype=wp.vec3, device="cpu")
+        grid = wp.HashGrid(_COVER_CELLS, _COVER_CELLS, _COVER_CELLS, device="cpu")
+        grid.build(points, radius)
+        owner = wp.full(count, -1, dtype=int, device="cpu")
+        chosen = wp.zeros(count, dtype=int, device="cpu")
+        chosen_count = wp.zeros(1, dtype=int, device="cpu")
+        wp.launch(
+            choose_cover,
+            dim=1,
+            inputs=[
+                grid.id,
+                radius,
+                wp.array(order, dtype=int, device="cpu"),
+                points,
+                wp.array(normal[sorting], dtype=wp.vec3, device="cpu"),
+                wp.full(count, np.inf, dtype=float, device="cpu"),
+                owner,
+                chosen,
+                chosen_count,
+            ],
+            device="cpu",
+        )
     owners = np.empty(count, np.int32)
     owners[sorting] = owner.numpy()
     return sorting[chosen.numpy()[: chosen_count.numpy()[0]]], owners
