@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand with its skeleton: of any size, or of the size a tracker measured.
+"""The default hand with its skeleton, of any size.
 
 Bones are OpenXR's 26 joints (XR_EXT_hand_tracking), each with its origin in the joint, -Z along the
 bone towards the fingertip, +Y out of the back of the hand and +X to the right of both, as trackers
@@ -57,8 +57,7 @@ def default_hand(
     Args:
         side: "right" or "left".
         length: From the wrist joint to the tip of the straight middle finger [m].
-        proportions: How large the hand's parts are among each other; `measured_proportions` gives
-            those of a person, and their length.
+        proportions: Sizes of the hand's parts relative to each other.
         edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
 
     Returns:
