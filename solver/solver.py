@@ -35,7 +35,7 @@ FAMILIAR = 1.5
 """Up to this many times as many substeps as needed are taken where as many were before."""
 SWEEP_LIMIT = 32
 """A collider that would take this many times the substeps jumps instead of sweeping."""
-MOST_SUBSTEPS = 128
+MAX_SUBSTEPS = 128
 """Fast clay takes at most this many substeps in 1/60 s."""
 SPEED_FLOOR = 1.0
 """Inner forces may always make clay this fast [m/s]; see `Solver._limit_speed`."""
@@ -126,7 +126,7 @@ class Solver:
         shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
         speed = self._regions.fastest
         stride = CLAY_STRIDE * self.scene.spacing
-        most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
+        most = math.ceil(MAX_SUBSTEPS * duration / BASE_STEP)
         substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
         motion = 0.0
         if self._contacts.meshes:
@@ -223,15 +223,15 @@ class Solver:
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = []
-        for which, motion in enumerate(motions):
-            if near[which] and which < len(self.scene.meshes) and motion > stride * substeps:
-                sweep = meshes.sweep(which, np.stack([low, high]), touched)
+        for index, motion in enumerate(motions):
+            if near[index] and index < len(self.scene.meshes) and motion > stride * substeps:
+                sweep = meshes.sweep(index, np.stack([low, high]), touched)
                 # A large wheel does not jump, however fast it is.
-                teleported[which] = sweep.along > most * stride
+                teleported[index] = sweep.along > most * stride
                 slide = sweep.across * COLLIDER_STRIDE / COLLIDER_SLIDE
                 turn = sweep.turn * stride / COLLIDER_TURN
                 motion = max(sweep.along, min(max(slide, turn), most * stride))
-            if near[which] and not teleported[which]:
+            if near[index] and not teleported[index]:
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
@@ -290,9 +290,9 @@ class Solver:
         for hand in self._hands:
             if hand.hand is collider:
                 return hand.force(self._duration)
-        for which, known in enumerate(self._contacts.colliders):
+        for index, known in enumerate(self._contacts.colliders):
             if known is collider:
-                return self._contacts.force_on(which, self._duration)
+                return self._contacts.force_on(index, self._duration)
         raise ValueError("That collider is not in the scene this solver was built from.")
 
     def contacts(self, hand: Hand) -> HandContacts:

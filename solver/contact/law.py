@@ -23,7 +23,7 @@ from ..core.awake import Awake, awake_particle
 
 DEPENETRATION_SPEED = 0.5
 """Speed at which something that lies inside a collider is moved out [m/s]."""
-MOST_CONTACTS = 4
+MAX_CONTACTS = 4
 """Contacts that a particle can have at once."""
 MARGIN = 0.25
 """Contacts are found this far off the surface, in spacings: a substep may close the gap."""
@@ -53,7 +53,7 @@ class ContactPass:
 
 @wp.struct
 class ContactSlots:
-    """Contacts of all particles, `MOST_CONTACTS` for each."""
+    """Contacts of all particles, `MAX_CONTACTS` for each."""
 
     count: wp.array[int]
     collider: wp.array2d[int]
@@ -327,5 +327,5 @@ def wake_contacts(
     for k in range(slots.count[i]):
         wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))
         slots.impulse[i, k] = slots.impulse[i, k] * time_step
-    for which in range(clearance.shape[0]):
-        clearance[which, i] = 0.0
+    for mesh in range(clearance.shape[0]):
+        clearance[mesh, i] = 0.0

@@ -48,18 +48,18 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
         const f4 turned = cross(axis, offset) * 2.f;
         return offset + turned * pose[6] + cross(axis, turned);
     };
-    auto motion_past = [&](int which, int number, f4 start, f4 end)
+    auto motion_past = [&](int mesh, int number, f4 start, f4 end)
         __attribute__((always_inline)) {
         f4 motion = end - start;
-        if (around.turning.data[which]) {
+        if (around.turning.data[mesh]) {
             const float* poses = (const float*)((const char*)around.pose.data
-                + which * (long long)around.pose.strides[0]);
-            const float* before = number < 0 ? (const float*)(around.pose_before.data + which)
+                + mesh * (long long)around.pose.strides[0]);
+            const float* before = number < 0 ? (const float*)(around.pose_before.data + mesh)
                 : poses + 7 * number;
             motion = seen_from(poses + 7 * (number + 1), end) - seen_from(before, start);
         }
         motion *= motion;
-        return __builtin_sqrtf(motion.x + motion.y + motion.z) + around.travel.data[which];
+        return __builtin_sqrtf(motion.x + motion.y + motion.z) + around.travel.data[mesh];
     };
     int found = 0;
 """,
@@ -75,10 +75,10 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
         comes |= gap - (closing > 0.f ? closing : 0.f) < reach;
     }
     const f4 place = load3(x), velocity_now = load3(v);
-    for (int which = 0; which < meshes; which++) {
-        float* clearance = around.clearance.data + which * pitch + i;
-        *clearance -= motion_past(which, substep - 1, place - velocity_now * dt_before, place);
-        const float coming = motion_past(which, substep, place, place + velocity_now * dt);
+    for (int mesh = 0; mesh < meshes; mesh++) {
+        float* clearance = around.clearance.data + mesh * pitch + i;
+        *clearance -= motion_past(mesh, substep - 1, place - velocity_now * dt_before, place);
+        const float coming = motion_past(mesh, substep, place, place + velocity_now * dt);
         comes |= *clearance - coming <= reach;
     }
     if (comes) near.index.data[begin + found++] = i;

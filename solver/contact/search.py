@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..core.awake import Awake, awake_particle
-from .law import MOST_CONTACTS, UNKNOWN_SLIDE, ContactPass, ContactSlots
+from .law import MAX_CONTACTS, UNKNOWN_SLIDE, ContactPass, ContactSlots
 
 
 @wp.func
@@ -22,7 +22,7 @@ def add_contact(
 ) -> None:
     """Give a particle a contact, with the anchor that it had on this collider before."""
     used = slots.count[i]
-    if used < MOST_CONTACTS:
+    if used < MAX_CONTACTS:
         slots.collider[i, used] = collider
         slots.normal[i, used] = normal
         slots.gap[i, used] = gap
@@ -90,23 +90,23 @@ class Surroundings:
 
 @wp.func
 def motion_past(
-    around: Surroundings, which: int, substep: int, start: wp.vec3, end: wp.vec3
+    around: Surroundings, mesh: int, substep: int, start: wp.vec3, end: wp.vec3
 ) -> float:
     """How far a point moves past a mesh in a substep at most [m].
 
     Past one that turns it is measured where it is: clay on a wheel does not move past that.
     """
     motion = wp.length(end - start)
-    if around.turning[which] == 1:
-        before = around.pose_before[which]
+    if around.turning[mesh] == 1:
+        before = around.pose_before[mesh]
         if substep >= 0:
-            before = around.pose[which, substep]
-        after = around.pose[which, substep + 1]
+            before = around.pose[mesh, substep]
+        after = around.pose[mesh, substep + 1]
         motion = wp.length(
             wp.transform_point(wp.transform_inverse(after), end)
             - wp.transform_point(wp.transform_inverse(before), start)
         )
-    return motion + around.travel[which]
+    return motion + around.travel[mesh]
 
 
 @wp.func
@@ -131,11 +131,11 @@ def comes_near(
         closing = wp.max(-wp.dot(v, normal), 0.0) * common.time_step
         if gap - closing < common.margin:
             near = True
-    for which in range(around.mesh.shape[0]):
+    for mesh in range(around.mesh.shape[0]):
         before = x - v * common.time_step_before
-        bound = around.clearance[which, i] - motion_past(around, which, substep - 1, before, x)
-        around.clearance[which, i] = bound
-        coming = motion_past(around, which, substep, x, x + v * common.time_step)
+        bound = around.clearance[mesh, i] - motion_past(around, mesh, substep - 1, before, x)
+        around.clearance[mesh, i] = bound
+        coming = motion_past(around, mesh, substep, x, x + v * common.time_step)
         if bound - coming <= common.radius + common.margin:
             near = True
     return near
@@ -168,42 +168,42 @@ def find_contacts(
     motion = velocity[i] * common.time_step
     near = common.radius + common.margin
     plane_count = around.plane_point.shape[0]
-    for which in range(around.mesh.shape[0]):
-        coming = motion_past(around, which, around.substep[0], x, x + motion)
-        bound = around.clearance[which, i] - coming
+    for mesh in range(around.mesh.shape[0]):
+        coming = motion_past(around, mesh, around.substep[0], x, x + motion)
+        bound = around.clearance[mesh, i] - coming
         if bound > near:
             continue
-        before = around.pose[which, around.substep[0]]
-        after = around.pose[which, around.substep[0] + 1]
+        before = around.pose[mesh, around.substep[0]]
+        after = around.pose[mesh, around.substep[0] + 1]
         local = wp.transform_point(wp.transform_inverse(after), x + motion)
         # While motion cannot have used up a positive clearance, the particle is outside: no need
         # to find the sign, which costs several times as much as the nearest point.
         sign = float(1.0)
-        reach = around.reach[which]
+        reach = around.reach[mesh]
         if bound > 0.0:
             reach = wp.min(reach, 4.0 * near)
-            query = wp.mesh_query_point_no_sign(around.mesh[which], local, reach)
-        elif around.first_face[which] >= 0:
+            query = wp.mesh_query_point_no_sign(around.mesh[mesh], local, reach)
+        elif around.first_face[mesh] >= 0:
             # Winding numbers of a mesh that deforms all the time cost more than the rest of it.
-            query = wp.mesh_query_point_sign_normal(around.mesh[which], local, reach)
+            query = wp.mesh_query_point_sign_normal(around.mesh[mesh], local, reach)
             sign = query.sign
         else:
-            query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
+            query = wp.mesh_query_point_sign_winding_number(around.mesh[mesh], local, reach)
             sign = query.sign
         if not query.result:
-            around.clearance[which, i] = reach - coming
+            around.clearance[mesh, i] = reach - coming
             continue
-        nearest = wp.mesh_eval_position(around.mesh[which], query.face, query.u, query.v)
+        nearest = wp.mesh_eval_position(around.mesh[mesh], query.face, query.u, query.v)
         offset = local - nearest
         apart = wp.length(offset)
-        around.clearance[which, i] = sign * apart - coming
+        around.clearance[mesh, i] = sign * apart - coming
         if sign * apart < near:
             if apart > 1.0e-4 * common.radius:
                 normal = offset * (sign / apart)
             else:
-                normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
+                normal = wp.mesh_eval_face_normal(around.mesh[mesh], query.face)
             normal = wp.transform_vector(after, normal)
-            drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
+            drift = wp.mesh_eval_velocity(around.mesh[mesh], query.face, query.u, query.v)
             # Of what is now where the particle is: where that will be is but a guess, and clay on a
             # wheel would creep by half the square of the angle.
             carried = wp.transform_point(wp.transform_inverse(before), x)
@@ -217,13 +217,13 @@ def find_contacts(
                 wp.transform_get_rotation(before)
             )
             compliance = wp.vec4()
-            if around.first_face[which] >= 0:
-                compliance = around.compliance[around.first_face[which] + query.face]
+            if around.first_face[mesh] >= 0:
+                compliance = around.compliance[around.first_face[mesh] + query.face]
             place = wp.vec2(query.u, query.v)
             add_contact(
                 slots,
                 i,
-                plane_count + which,
+                plane_count + mesh,
                 normal,
                 gap,
                 surface_motion,

@@ -16,7 +16,7 @@ from .particles import Particles
 from .recording_lock import recording_lock
 from .threads import helper_thread, processor_count
 
-MOST_RECORDINGS = 64
+MAX_RECORDINGS = 64
 """Recordings kept; the oldest goes first."""
 TRIAL_START = 24
 """Replays of a recording before both ways are tried: many recordings are not used that often."""
@@ -106,7 +106,7 @@ class Recordings:
                 self._seen.add(key)
                 launch()
                 return
-            if len(self._recordings) >= MOST_RECORDINGS:
+            if len(self._recordings) >= MAX_RECORDINGS:
                 del self._recordings[next(iter(self._recordings))]
             recording = self._recordings[key] = _Recording(self._record, self._way)
         recording.replay(launch)

@@ -33,7 +33,7 @@ JOINT_NAMES: tuple[str, ...] = (
 """The joints of XrHandJointEXT, in its order."""
 
 REFERENCE_LENGTH = 0.19
-"""Length that proportions are given for [m]."""
+"""Hand length for which proportions are given [m]."""
 
 
 class Finger(NamedTuple):

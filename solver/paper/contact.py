@@ -26,8 +26,8 @@ from ..core.particles import Particles
 from ..hand.ghosts import GhostMesh, rasterize_ghosts
 from .contact_search import (
     ANCHOR_MEMORY,
-    MOST_CONTACTS,
-    GhostContacts,
+    MAX_CONSTRAINTS,
+    GhostConstraints,
     find_ghost_contacts,
     find_plane_constraints,
 )
@@ -44,7 +44,7 @@ def project_contacts(
     friction: wp.array2d[float],
     material: wp.array[int],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Project each particle out of its ghosts, then towards its anchors."""
     i = wp.tid()
@@ -78,7 +78,7 @@ def settle_ghost_contacts(
     material: wp.array[int],
     mass: wp.array[float],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
     impulse: wp.array[wp.vec3d],
     deepest: wp.array[float],
 ) -> None:
@@ -136,8 +136,8 @@ class PaperContacts:
                 )
                 self.ghosts.append(GhostMesh(ghosts, self.reach, device))
                 self._carried.append(None)
-        rows = (particles.count if contacts.colliders else 0, MOST_CONTACTS)
-        slots = GhostContacts()
+        rows = (particles.count if contacts.colliders else 0, MAX_CONSTRAINTS)
+        slots = GhostConstraints()
         for name, dtype in (
             ("collider", int),
             ("ghost", int),
@@ -175,8 +175,8 @@ class PaperContacts:
         if contacts.meshes:
             self._carry_ghosts()
             first = len(contacts.colliders) - len(self.ghosts)
-            for which, ghosts in enumerate(self.ghosts):
-                if not contacts.meshes.moving[which].enabled:
+            for row, ghosts in enumerate(self.ghosts):
+                if not contacts.meshes.moving[row].enabled:
                     continue
                 wp.launch(
                     find_ghost_contacts,
@@ -184,8 +184,8 @@ class PaperContacts:
                     inputs=[
                         common,
                         contacts.meshes.substep,
-                        first + which,
-                        which,
+                        first + row,
+                        row,
                         contacts.meshes.pose,
                         self.reach,
                         ghosts.grid.id,
@@ -209,12 +209,12 @@ class PaperContacts:
         """Move ghosts where a mesh has changed its shape; its pose moves them without."""
         meshes = self.contacts.meshes
         assert meshes is not None
-        for which, (ghosts, moving) in enumerate(zip(self.ghosts, meshes.moving, strict=True)):
+        for row, (ghosts, moving) in enumerate(zip(self.ghosts, meshes.moving, strict=True)):
             deforms = moving.start is not None
-            if deforms or self._carried[which] is not moving.shape.vertices:
-                ghosts.carry(moving.mesh, meshes.orientation, which)
+            if deforms or self._carried[row] is not moving.shape.vertices:
+                ghosts.carry(moving.mesh, meshes.orientation, row)
                 # The step after a change of shape puts the vertices exactly in place.
-                self._carried[which] = None if deforms else moving.shape.vertices
+                self._carried[row] = None if deforms else moving.shape.vertices
 
     def project(self, common: ContactPass, displacement: wp.array) -> None:
         """Solve once for impenetrability and friction, in place.

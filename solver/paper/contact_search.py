@@ -11,9 +11,9 @@ import warp as wp
 
 from ..contact.law import ContactPass
 
-MOST_CONTACTS = 4
+MAX_CONSTRAINTS = 4
 """Constraints that a particle can have at once."""
-MOST_MESH_CONTACTS = 3
+MAX_MESH_CONSTRAINTS = 3
 """Of these with one mesh: a corner has three faces."""
 DIFFERENT_NORMALS = 0.7
 """Ghosts whose normals have a cosine below this are of different faces."""
@@ -24,8 +24,8 @@ ANCHOR_MEMORY = 2
 
 
 @wp.struct
-class GhostContacts:
-    """Constraints of all particles, `MOST_CONTACTS` for each."""
+class GhostConstraints:
+    """Constraints of all particles, `MAX_CONSTRAINTS` for each."""
 
     count: wp.array[int]
     collider: wp.array2d[int]
@@ -53,7 +53,7 @@ class GhostContacts:
 
 @wp.func
 def add_constraint(
-    slots: GhostContacts,
+    slots: GhostConstraints,
     i: int,
     collider: int,
     ghost: int,
@@ -63,7 +63,7 @@ def add_constraint(
 ) -> None:
     """Give a particle a constraint, with the anchor it had on that side of the collider."""
     used = slots.count[i]
-    if used < MOST_CONTACTS:
+    if used < MAX_CONSTRAINTS:
         slots.collider[i, used] = collider
         slots.ghost[i, used] = ghost
         slots.normal[i, used] = normal
@@ -91,7 +91,7 @@ def find_ghost_contacts(
     common: ContactPass,
     substep: wp.array[int],
     collider: int,
-    which: int,
+    row: int,
     pose: wp.array2d[wp.transform],
     reach: float,
     grid: wp.uint64,
@@ -100,12 +100,12 @@ def find_ghost_contacts(
     ghost_drift: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Find the ghosts of one mesh that a particle may meet in this substep, the nearest first."""
     i = wp.tid()
-    before = pose[which, substep[0]]
-    after = pose[which, substep[0] + 1]
+    before = pose[row, substep[0]]
+    after = pose[row, substep[0] + 1]
     local = wp.transform_point(wp.transform_inverse(after), position[i] + displacement[i])
     first = slots.count[i]
     searching = bool(True)
@@ -149,7 +149,8 @@ def find_ghost_contacts(
             if near:
                 add_constraint(slots, i, collider, chosen, normal, gap, place - start)
                 searching = (
-                    slots.count[i] < MOST_CONTACTS and slots.count[i] - first < MOST_MESH_CONTACTS
+                    slots.count[i] < MAX_CONSTRAINTS
+                    and slots.count[i] - first < MAX_MESH_CONSTRAINTS
                 )
 
 
@@ -160,7 +161,7 @@ def find_plane_constraints(
     plane_normal: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Find the planes that a particle may meet in this substep."""
     i = wp.tid()

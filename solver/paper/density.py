@@ -17,7 +17,7 @@ from .neighbors import Support
 
 RELAXATION_TIME = 0.004
 """A substep corrects the part Δt over this of a change of volume, at most all of it [s]."""
-MOST_COMPRESSION = 0.2
+MAX_COMPRESSION = 0.2
 """Compression that is corrected at once; more would throw particles apart."""
 REGULARIZATION = 1e-3
 """Added to the denominator, over that of a full lattice."""
@@ -66,7 +66,7 @@ def solve_density(
     compression[i] = constraint
     multiplier[i] = (
         -density.fraction
-        * wp.min(constraint, MOST_COMPRESSION)
+        * wp.min(constraint, MAX_COMPRESSION)
         / (denominator + density.regularization)
     )
 

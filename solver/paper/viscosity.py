@@ -20,7 +20,7 @@ from .neighbors import Support
 
 RELAXATION = 1.2
 """Over-relaxation of the Jacobi iteration; it diverges above 1.48 on a lattice."""
-LEAST_EIGENVALUE = 0.15
+MIN_EIGENVALUE = 0.15
 """Directions in which a particle has fewer neighbours than this part of a full set carry none."""
 POLAR_ITERATIONS = 2
 """Newton steps to the rotation, from none; a substep turns clay by a small angle."""
@@ -32,7 +32,7 @@ def correction_matrix(moment: wp.mat33) -> wp.mat33:
     axes, eigenvalues = wp.eig3(moment)
     inverse = wp.mat33()
     for k in range(3):
-        if eigenvalues[k] > LEAST_EIGENVALUE:
+        if eigenvalues[k] > MIN_EIGENVALUE:
             axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
             inverse += wp.outer(axis, axis) / eigenvalues[k]
     return inverse

@@ -19,7 +19,7 @@ from ..contact.law import ContactSlots, tangential
 from ..core.particles import Particles
 from ..core.recording import Recordings
 from ..core.vector_units import OPTIONS
-from .contact import Skin, part_felt, place_on_skin, whole_share
+from .contact import HandSkin, part_felt, place_on_skin, whole_share
 from .flesh import Flesh
 from .hold import Hold
 
@@ -56,7 +56,7 @@ def probing(probe: Probe, normal: wp.vec3) -> wp.vec3:
 
 
 @wp.kernel(enable_backward=False)
-def probe_skin(slots: ContactSlots, skin: Skin, probe: Probe) -> None:
+def probe_skin(slots: ContactSlots, skin: HandSkin, probe: Probe) -> None:
     """Load nodes as if each contact that pushes did so by one newton."""
     i = wp.tid()
     for k in range(slots.count[i]):
@@ -77,7 +77,7 @@ def probe_skin(slots: ContactSlots, skin: Skin, probe: Probe) -> None:
 
 @wp.kernel(enable_backward=False)
 def measure_response(
-    slots: ContactSlots, skin: Skin, response: wp.array[wp.vec3], probe: Probe
+    slots: ContactSlots, skin: HandSkin, response: wp.array[wp.vec3], probe: Probe
 ) -> None:
     """Sum up what contacts give way, given what the probe moves the nodes by."""
     i = wp.tid()
@@ -126,7 +126,7 @@ class SkinCompliance:
     def __init__(
         self,
         flesh: Flesh,
-        skin: Skin,
+        skin: HandSkin,
         particles: Particles,
         *,
         bones: int,
@@ -188,7 +188,7 @@ class SkinCompliance:
         self._launch(probe_skin, slots, self.skin, probe)
         self.flesh.respond(probe.load)
 
-    def _take_in(self, slots: ContactSlots, response: wp.array, which: int) -> None:
+    def _take_in(self, slots: ContactSlots, response: wp.array, component: int) -> None:
         """Take in what the probe moves the nodes by [m], for one of the four compliances."""
         probe = self._probe
         probe.response.zero_()
@@ -196,9 +196,9 @@ class SkinCompliance:
         work, square = probe.response.numpy().T
         known = square > 1e-9
         found = TOLD * np.divide(work, square, out=np.ones_like(work), where=known)
-        lone = self._lone[which]
+        lone = self._lone[component]
         found = np.clip(found, RANGE[0] * lone, RANGE[1] * lone)
-        told = self._told[:, which]
+        told = self._told[:, component]
         told[:] = np.where(known, told + (1.0 - MEMORY) * (found - told), lone)
 
     def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:

@@ -24,7 +24,7 @@ _CHUNK = 256
 
 
 @wp.struct
-class Skin:
+class HandSkin:
     """The skin of a hand, and the ghosts on it."""
 
     collider: int
@@ -66,9 +66,9 @@ class HandForces:
 
 @wp.kernel(enable_backward=False)
 def carry_skin(
-    skin: Skin,
+    skin: HandSkin,
     position: wp.array[wp.vec3],
-    which: int,
+    row: int,
     points: wp.array[wp.vec3],
     motion: wp.array[wp.vec3],
     travel: wp.array[float],
@@ -83,11 +83,11 @@ def carry_skin(
     moved = x - points[i]
     motion[i] = moved
     points[i] = x
-    wp.atomic_max(travel, which, wp.length(moved))
+    wp.atomic_max(travel, row, wp.length(moved))
 
 
 @wp.func
-def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
+def place_on_skin(skin: HandSkin, face: int, place: wp.vec2) -> wp.vec3:
     """A point on the skin at rest."""
     corner = skin.face[face]
     last = 1.0 - place[0] - place[1]
@@ -99,13 +99,13 @@ def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def ghost_share(skin: Skin, x: wp.vec3, ghost: int) -> float:
+def ghost_share(skin: HandSkin, x: wp.vec3, ghost: int) -> float:
     """How much of a contact a ghost feels, before shares are made to add up to one."""
     return wp.max(1.0 - wp.length(skin.ghost_rest[ghost] - x) / skin.ghost_reach, 0.0)
 
 
 @wp.func
-def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
+def whole_share(skin: HandSkin, face: int, x: wp.vec3) -> float:
     """Sum of the shares of the ghosts around a face: 0 where none is within reach."""
     whole = float(0.0)
     for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
@@ -114,7 +114,7 @@ def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
 
 
 @wp.func
-def part_felt(skin: Skin, face: int, at: int, x: wp.vec3, whole: float) -> float:
+def part_felt(skin: HandSkin, face: int, at: int, x: wp.vec3, whole: float) -> float:
     """The part of a contact that a ghost feels; where none is within reach, the first does."""
     if whole > 0.0:
         return ghost_share(skin, x, skin.ghost[at]) / whole
@@ -137,7 +137,7 @@ def gather_forces(
     reported: float,
     resting: wp.array[int],
     slots: ContactSlots,
-    skin: Skin,
+    skin: HandSkin,
     forces: HandForces,
 ) -> None:
     """Pass the forces of a substep on to ghosts and nodes."""
@@ -164,12 +164,12 @@ def gather_forces(
                             wp.atomic_add(forces.load, corner[c], part * weight[c])
 
 
-def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> Skin:
+def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> HandSkin:
     """The skin of a rig, for clay of a particle spacing [m]."""
     surface = np.flatnonzero(rig.ghost_areas > 0.0)
     reach = max(GHOST_REACH * spacing, 1.01 * rig.ghost_spacing)
     begin, ghosts = _ghosts_by_face(rig, surface, reach)
-    skin = Skin()
+    skin = HandSkin()
     skin.collider = collider
 
     def put(values: NDArray, dtype: object) -> wp.array:

@@ -26,7 +26,7 @@ from .solve import (
     turn_direction,
 )
 
-LONGEST_STEP = 0.01
+MAX_STEP = 0.01
 """What a node moves in a solve at most, over the size of the hand."""
 RELAXATION_TIME = 0.008
 """Flesh follows what loads it with this delay [s]."""
@@ -73,7 +73,7 @@ class Flesh:
         data = FleshData()
         data.lame = wp.vec2(first, shear)
         data.young_modulus = young_modulus
-        data.longest_step = LONGEST_STEP * float(np.linalg.norm(np.ptp(rig.nodes, axis=0)))
+        data.longest_step = MAX_STEP * float(np.linalg.norm(np.ptp(rig.nodes, axis=0)))
 
         def put(values: NDArray, dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)

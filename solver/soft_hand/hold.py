@@ -32,7 +32,7 @@ def held_part(time_step: float) -> float:
 
 NEGLIGIBLE = 1.0e-6
 """Joints that nothing loads are back when they are within this of their pose [rad, m]."""
-LEAST_SHARE = 0.5
+MIN_SHARE = 0.5
 """A node counts as a bone's when the bone and what hangs on it carry this much of it."""
 
 
@@ -61,7 +61,7 @@ class Hold:
         self._carried = carried
         """How much of each node a bone and what hangs on it carry, shape [N, B]."""
         away = np.linalg.norm(rig.nodes[:, None] - rig.bone_rest[None, :, :3, 3], axis=2)
-        lever = np.where(carried > LEAST_SHARE, away, 0.0).max(0)
+        lever = np.where(carried > MIN_SHARE, away, 0.0).max(0)
         share = 1.0 / (stiffness * (len(self._levels) + 1))
         self._turning = np.divide(share, lever**2, out=np.zeros(count), where=lever > 0.0)[:, None]
         """What a torque turns each joint by [rad/(N m)]."""

@@ -29,7 +29,7 @@ BEDDING_CELLS = 0.133
 """The same in cells of the lattice, if that is more. A tetrahedron that reaches from bone to skin
 strains evenly: held firmly at its one end it could not give at the other. With this, a fingertip
 gives the same to about a tenth, from one cell across it to four."""
-LEAST_SHARE = 0.1
+MIN_SHARE = 0.1
 """A tetrahedron outside the skin still counts this much, so that its nodes are carried along."""
 LEAF_REACH = 1.6
 """A bone without children reaches this far from its head, over the distance of the middle of what
@@ -93,7 +93,7 @@ def rest_of(rig: HandRig) -> FleshRest:
     bone = inside & (away * (1.0 - BONE_SHARE) < depth * BONE_SHARE).reshape(inside.shape)
     products = np.einsum("sk,sl->skl", weights, weights) / len(weights)
     bone_shares = np.einsum("t,ts,skl->tkl", volumes, bone.astype(float), products)
-    share = np.maximum(inside.mean(1), LEAST_SHARE)
+    share = np.maximum(inside.mean(1), MIN_SHARE)
     # Twelve tetrahedra of a body-centred cubic lattice fill a cell.
     cell = float(np.cbrt(12.0 * volumes.mean()))
     bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)

@@ -24,7 +24,7 @@ FRESH_EVERY = 4
 """Substeps after which stress and tangent are found anew; between, forces change linearly."""
 ARRIVAL_TIME = 0.2
 """A hand that jumps or comes back takes hold of the clay over this long [s]."""
-LONGEST_ARRIVAL = 1.0
+MAX_ARRIVAL_TIME = 1.0
 """After this long it has arrived, even if clay is still inside it [s]."""
 ARRIVED_DEPTH = 0.1
 """A hand has arrived when no particle's ball lies this deep inside it, in spacings."""
@@ -178,7 +178,7 @@ class SoftHand:
             self._arrival += duration
         if not self._arrived:
             clear = float(forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
-            self._arrived = self._arrival >= (ARRIVAL_TIME if clear else LONGEST_ARRIVAL)
+            self._arrived = self._arrival >= (ARRIVAL_TIME if clear else MAX_ARRIVAL_TIME)
 
     @property
     def grasp(self) -> float:
