@@ -20,7 +20,7 @@ def add_contact(
     face: int,
     place: wp.vec2,
 ) -> None:
-    """Give a particle a contact, with the anchor that it had on this collider before."""
+    """Add a contact to a particle, with the anchor that it already had on this collider."""
     used = slots.count[i]
     if used < MAX_CONTACTS:
         slots.collider[i, used] = collider
@@ -67,34 +67,34 @@ class Surroundings:
     plane_normal: wp.array[wp.vec3]
     mesh: wp.array[wp.uint64]
     pose: wp.array2d[wp.transform]
-    """Of each mesh, by substep."""
+    """Pose of each mesh at the start of each substep, and at the end of the last."""
     substep: wp.array[int]
-    """Which of a step's substeps is under way; on the device, so that it can be recorded."""
+    """Index of the current substep; on the device, so that passes can be recorded."""
     reach: wp.array[float]
-    """How far off a mesh is looked for [m]."""
+    """Search distance of each mesh [m]."""
     pose_before: wp.array[wp.transform]
-    """Of each mesh, a substep before the first of `pose`."""
+    """Pose of each mesh one substep before the first of `pose`."""
     turning: wp.array[int]
-    """1 for a mesh that turns in this step or did in the last."""
+    """1 for a mesh that turns in this step or turned in the last."""
     travel: wp.array[float]
-    """What each mesh moves in a substep at most [m]; of a turning one, its change of shape only."""
+    """Largest motion of each mesh in a substep [m]; for a turning one only its change of shape."""
     clearance: wp.array2d[float]
-    """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
-    up, the mesh is not asked."""
+    """Lower bound of the distance of each particle from each mesh [m], by mesh and particle. Until
+    motion can have used it up, the mesh is not queried."""
     first_face: wp.array[int]
-    """Where the faces of each mesh begin in ``compliance``; -1 where it is rigid."""
+    """Index of each mesh's first face in ``compliance``; -1 for a rigid mesh."""
     compliance: wp.array[wp.vec4]
-    """How much flesh gives to a contact at each face of soft meshes, across and along it, and how
-    much joints do [m/N]."""
+    """Compliance of each face of soft meshes [m/N]: flesh normal to and along it, then joints
+    likewise."""
 
 
 @wp.func
 def motion_past(
     around: Surroundings, mesh: int, substep: int, start: wp.vec3, end: wp.vec3
 ) -> float:
-    """How far a point moves past a mesh in a substep at most [m].
+    """Largest motion of a point relative to a mesh in a substep [m].
 
-    Past one that turns it is measured where it is: clay on a wheel does not move past that.
+    For a turning mesh it is measured in the mesh's frame, where clay on a wheel does not move.
     """
     motion = wp.length(end - start)
     if around.turning[mesh] == 1:
@@ -184,7 +184,7 @@ def find_contacts(
             reach = wp.min(reach, 4.0 * near)
             query = wp.mesh_query_point_no_sign(around.mesh[mesh], local, reach)
         elif around.first_face[mesh] >= 0:
-            # Winding numbers of a mesh that deforms all the time cost more than the rest of it.
+            # For a mesh that deforms all the time, winding numbers would cost more than all else.
             query = wp.mesh_query_point_sign_normal(around.mesh[mesh], local, reach)
             sign = query.sign
         else:
@@ -204,8 +204,8 @@ def find_contacts(
                 normal = wp.mesh_eval_face_normal(around.mesh[mesh], query.face)
             normal = wp.transform_vector(after, normal)
             drift = wp.mesh_eval_velocity(around.mesh[mesh], query.face, query.u, query.v)
-            # Of what is now where the particle is: where that will be is but a guess, and clay on a
-            # wheel would creep by half the square of the angle.
+            # Motion of the material at the particle's current position: its next position is only a
+            # guess, with which clay on a wheel would creep by half the square of the angle.
             carried = wp.transform_point(wp.transform_inverse(before), x)
             surface_motion = (
                 wp.transform_point(after, carried)

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Contact and friction of the paper's clay (section III-D): ghost particles and sliding anchors.
 
-Each constraint is impenetrability against one ghost particle: n · (x - g) >= R with the ghost's own
-normal, so that it only ever repels to the outside, and, where the particle is beside the ghost as
-at the rim of a face, the distance |x - g| >= R. An infinite plane has a ghost directly below every
-particle. R is half the spacing: a particle rests with its ball on the surface.
-Friction pulls a particle to its anchor, by no more than μ times what impenetrability pushed it.
+Each constraint is impenetrability against one ghost particle: n · (x - g) >= R with the ghost's
+normal, so that it only ever repels to the outside, or the distance |x - g| >= R where the particle
+is beside the ghost, as at the rim of a face. An infinite plane has a ghost directly below every
+particle. R is half the spacing: the ball of a resting particle touches the surface. Friction pulls
+a particle to its anchor, by no more than μ times the projection by impenetrability.
 
 Where the paper is silent:
 
-- The limit of friction is on the sums over a substep's iterations. Iteration by iteration it would
+- Friction is limited over the sum of a substep's iterations. Limited in each iteration, it would
   vanish as impenetrability converges.
-- A new anchor lies where the particle met the surface, not above a ghost that is up to a ghost
-  spacing aside. It moves with the surface, and keeps its place when another ghost takes over.
-- What begins a substep inside is moved out no faster than `DEPENETRATION_SPEED`.
+- A new anchor lies where the particle met the surface, not at the ghost, which may be a ghost
+  spacing away. It moves with the surface, and keeps its place when another ghost takes over.
+- Particles that start a substep inside are moved out no faster than `DEPENETRATION_SPEED`.
 """
 
 import numpy as np
@@ -33,9 +33,9 @@ from .contact_search import (
 )
 
 GHOST_SPACING = 1.0
-"""Distance of ghosts over a particle's radius."""
+"""Distance between ghosts, over a particle's radius."""
 REACH = 3.0
-"""Ghosts are looked for this far around a particle's predicted place, over its radius."""
+"""Search radius for ghosts around a particle's predicted position, over its radius."""
 
 
 @wp.kernel(enable_backward=False)
@@ -51,7 +51,7 @@ def project_contacts(
     moved = displacement[i]
     for k in range(slots.count[i]):
         n = slots.normal[i, k]
-        # Where the ball already lay inside, only part of the way out is asked for.
+        # A ball that already lay inside is moved only part of the way out.
         start = slots.gap[i, k] + wp.dot(slots.surface_motion[i, k], n)
         allowed = wp.min(start + DEPENETRATION_SPEED * common.time_step, 0.0)
         depth = allowed - slots.gap[i, k] - wp.dot(moved, n)
@@ -84,7 +84,7 @@ def settle_ghost_contacts(
 ) -> None:
     """Sum the impulses on colliders (eq. 6), and slide anchors.
 
-    An anchor ends no farther from its particle than friction has projected it in this substep.
+    An anchor ends no farther from its particle than friction moved the particle in this substep.
     """
     i = wp.tid()
     for k in range(slots.count[i]):
@@ -117,8 +117,8 @@ class PaperContacts:
     """Impenetrability and friction of all particles with all colliders.
 
     Args:
-        particles: What touches.
-        contacts: What is touched: the colliders, how they move, and where impulses are summed.
+        particles: The clay.
+        contacts: The colliders, their motion, and where impulses are summed.
     """
 
     def __init__(self, particles: Particles, contacts: Contacts) -> None:
@@ -159,11 +159,11 @@ class PaperContacts:
         self.slots = slots
 
     def find(self, common: ContactPass, displacement: wp.array) -> None:
-        """Find the constraints of a substep; those that were there before keep their anchors.
+        """Find the constraints of a substep; those that existed before keep their anchors.
 
         Args:
             common: The substep.
-            displacement: Predicted, without any constraint [m].
+            displacement: Predicted without constraints [m].
         """
         contacts, slots = self.contacts, self.slots
         if not contacts.colliders:
@@ -206,7 +206,7 @@ class PaperContacts:
             )
 
     def _carry_ghosts(self) -> None:
-        """Move ghosts where a mesh has changed its shape; its pose moves them without."""
+        """Move ghosts of meshes that changed shape; rigid motion is in the pose."""
         meshes = self.contacts.meshes
         assert meshes is not None
         for row, (ghosts, moving) in enumerate(zip(self.ghosts, meshes.moving, strict=True)):
@@ -221,7 +221,7 @@ class PaperContacts:
 
         Args:
             common: The substep.
-            displacement: Since the beginning of the substep [m].
+            displacement: Since the start of the substep [m].
         """
         if not self.contacts.colliders:
             return
@@ -260,14 +260,14 @@ class PaperContacts:
         )
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Anchors, and what they hold on to."""
+        """Anchors and their contacts."""
         if not self.contacts.colliders:
             return {}
         names = ("count", "collider", "normal", "stretch", "idle")
         return {f"anchor_{name}": getattr(self.slots, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         if not self.contacts.colliders:
             return
         for name in ("count", "collider", "normal", "stretch", "idle"):

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which ghost particles a particle of the paper's clay meets in a substep.
+"""Search for the ghost particles that a particle of the paper's clay meets in a substep.
 
 Section III-D of the paper sets a constraint for every ghost within a radius. Here a particle meets
-the nearest ghost of a mesh, and others only where it is outside of them and their normals differ,
-as in a corner: many ghosts of one face would say the same, and those of a rim's other face would
-push aside what lies on this one.
+the nearest ghost of a mesh, and others only if it is outside them and their normals differ, as in a
+corner: many ghosts of one face would be redundant, and those of the other face of a rim would push
+away particles that lie on this one.
 """
 
 import warp as wp
@@ -12,13 +12,13 @@ import warp as wp
 from ..contact.law import ContactPass
 
 MAX_CONSTRAINTS = 4
-"""Constraints that a particle can have at once."""
+"""Largest number of constraints of a particle."""
 MAX_MESH_CONSTRAINTS = 3
-"""Of these with one mesh: a corner has three faces."""
+"""Largest number of them with one mesh: a corner has three faces."""
 DIFFERENT_NORMALS = 0.7
-"""Ghosts whose normals have a cosine below this are of different faces."""
+"""Cosine of two normals below which ghosts belong to different faces."""
 BESIDE = 0.75
-"""A particle this far beside the nearest ghost, in radii, is off a rim: ghosts lie closer."""
+"""Lateral distance from the nearest ghost beyond which a particle is off a rim, in radii."""
 ANCHOR_MEMORY = 2
 """An anchor is dropped after this many substeps without contact."""
 
@@ -33,11 +33,11 @@ class GhostConstraints:
     """Index among the ghosts of its mesh; -1 on a plane."""
     normal: wp.array2d[wp.vec3]
     gap: wp.array2d[float]
-    """Between the ball where it is now and the surface at the substep's end [m]."""
+    """Gap between the ball's current position and the surface at the substep's end [m]."""
     surface_motion: wp.array2d[wp.vec3]
-    """What the surface moves in this substep [m]."""
+    """Motion of the surface in this substep [m]."""
     stretch: wp.array2d[wp.vec3]
-    """From the anchor to the particle, at the substep's beginning [m]."""
+    """Offset from the anchor to the particle at the start of the substep [m]."""
     idle: wp.array2d[int]
     """Substeps since the particle was last pushed."""
     push: wp.array2d[float]
@@ -61,7 +61,7 @@ def add_constraint(
     gap: float,
     surface_motion: wp.vec3,
 ) -> None:
-    """Give a particle a constraint, with the anchor it had on that side of the collider."""
+    """Add a constraint to a particle, with the anchor it had on that side of the collider."""
     used = slots.count[i]
     if used < MAX_CONSTRAINTS:
         slots.collider[i, used] = collider
@@ -117,7 +117,7 @@ def find_ghost_contacts(
             above = wp.dot(offset, ghost_normal[g])
             beside = wp.length(offset - ghost_normal[g] * above)
             off_rim = beside > BESIDE * common.radius
-            # How near the surface is that the ghost stands for. What lies beside counts half: with
+            # Distance of the surface that the ghost represents. The lateral part counts half: with
             # less, a round tool's farthest tangent plane would win, with more a rim's other face.
             distance = above * above + 0.5 * beside * beside
             if off_rim:

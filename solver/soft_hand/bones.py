@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way of a hand's bones through a step: rotations turn evenly, joints go straight."""
+"""The path of a hand's bones through a step: rotations turn evenly, joints go straight."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class BonePath:
         self._prepare()
 
     def aim(self, end: Array) -> None:
-        """Plan the way from where bones are to their next poses, shape [B, 4, 4]."""
+        """Plan the path from the current poses to the next ones, shape [B, 4, 4]."""
         self.end = end.copy()
         self._prepare()
 
     def arrive(self) -> None:
-        """Start the next way from the end of this."""
+        """Start the next path at the end of this one."""
         self.start = self.end.copy()
 
     def _prepare(self) -> None:
@@ -50,11 +50,10 @@ class BonePath:
         self._last_turn = quaternions_from_matrices(last)
 
     def poses(self, fraction: float) -> tuple[Array, Array]:
-        """Where bones are after a fraction of the way.
+        """Where bones are after a fraction of the step.
 
         Returns:
-            Poses, shape [B, 4, 4], and how each is turned from rest, as quaternions (x, y, z, w),
-            shape [B, 4].
+            Poses, shape [B, 4, 4], and their rotations from rest as quaternions, shape [B, 4].
         """
         turn = slerp(self._first_turn, self._last_turn, fraction)
         stretch = self._first_stretch + (self._last_stretch - self._first_stretch) * fraction
@@ -67,7 +66,7 @@ class BonePath:
         return poses, product(turn, conjugate(self._rest_turn))
 
     def turns(self, poses: Array) -> Array:
-        """World at present from world at rest, by bone, shape [B, 4, 4]."""
+        """Current world from world at rest, for each bone, shape [B, 4, 4]."""
         return poses @ self._rest_inverse
 
 
