@@ -70,7 +70,7 @@ class Solver:
     at least three spacings, to a third at 2.4. Steady shear meets a tenth less resistance than
     the material specifies, and films of ten particles flow up to a fifth slower. Elastic clay
     bounces with a third of the speed it should at the live setting. Clay kneaded a hundred times
-    loses some 5 % of the volume inside its surface. Bonds act between neighbours only, so Poisson's
+    loses some 5 % of the volume inside its surface. Bonds act between neighbors only, so Poisson's
     ratio is that of a central-force network and the pressure keeps the volume. Contact is a stiff
     penalty: under a fingertip particles enter a collider by a twentieth of the spacing, and a soft
     hand that is hit fast by up to their radius. Planes and meshes push clay but do not yield to it;

@@ -116,7 +116,7 @@ def find_carriers(
     carrier: wp.array[int],
     inside: wp.array[float],
 ) -> None:
-    """Find the tetrahedron of its two groups that each point lies deepest in, preferably the first."""
+    """Find the tetrahedron of two groups that each point lies deepest in, preferring the first."""
     i = wp.tid()
     x = point[i]
     reach = wp.vec3(margin, margin, margin)

@@ -119,14 +119,14 @@ def _relax(
 ) -> Array:
     """Move a net onto the surface and smooth it along the surface, shape [V, 3]."""
     edges = _edges(net)
-    neighbour_count = np.bincount(edges[:, 0], minlength=len(vertices))[:, None]
+    neighbor_count = np.bincount(edges[:, 0], minlength=len(vertices))[:, None]
     for sweep in range(9):
         if 0 < sweep < 8:
             sums = [
                 np.bincount(edges[:, 0], vertices[edges[:, 1], axis], minlength=len(vertices))
                 for axis in range(3)
             ]
-            vertices = vertices + 0.6 * (np.stack(sums, axis=1) / neighbour_count - vertices)
+            vertices = vertices + 0.6 * (np.stack(sums, axis=1) / neighbor_count - vertices)
         vertices = vertices + to_surface(distance, vertices, cell)
     return vertices
 

@@ -2,7 +2,7 @@
 """Binding: turns a rigged skin into a hand for simulation.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: the inside is meshed with tetrahedra, and ghost particles rasterised in the rest pose are
+WHC 2021: the inside is meshed with tetrahedra, and ghost particles rasterized in the rest pose are
 carried by the barycentric coordinates of the tetrahedron around them.
 
 Ghosts lie on the skin only. A particle meets the skin on its own side before it gets inside, and

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ghost particles on the surface of a closed mesh, which carry contact (paper, section III-D).
 
-Barreiro, Torres and Otaduy rasterise ghost particles on a solid in its rest configuration and move
+Barreiro, Torres and Otaduy rasterize ghost particles on a solid in its rest configuration and move
 them with it. Here they lie on the surface, each carried by a triangle, and each represents the part
 of the surface nearest to it, so that their areas add up to that of the mesh.
 """

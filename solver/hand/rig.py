@@ -2,7 +2,7 @@
 """A hand bound for simulation: its skin, skeleton, tetrahedra and ghosts, all in the rest pose.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterised in the
+WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterized in the
 rest pose are carried by the tetrahedra around them.
 """
 

@@ -175,7 +175,7 @@ class BondConstraints:
         """Solve once for all bonds.
 
         Args:
-            rows: Neighbours and their bonds.
+            rows: Neighbors and their bonds.
             displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """

@@ -123,7 +123,7 @@ class DensityConstraints:
         """Solve once for all densities.
 
         Args:
-            support: Neighbours within the kernel.
+            support: Neighbors within the kernel.
             displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """

@@ -20,7 +20,7 @@ _GRID_CELLS = 64
 
 @wp.struct
 class Rows:
-    """A row of neighbours for each particle, bonded ones first."""
+    """A row of neighbors for each particle, bonded ones first."""
 
     count: wp.array[int]
     index: wp.array2d[int]

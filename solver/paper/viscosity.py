@@ -7,7 +7,7 @@ Where the paper is silent:
   doi 10.1016/S0045-7825(99)00051-1). Without that a rigidly turning block strains at its surface,
   and each projection costs angular momentum. They are computed at the start of the substep.
 - The rotational part x^r of a displacement is read as the rotation of the particle's own
-  neighbourhood, the rotation in the polar decomposition F = R U of the deformation in the substep;
+  neighborhood, the rotation in the polar decomposition F = R U of the deformation in the substep;
   with v = (x - x^r) / Δt eq. 3 becomes S = 2 (U - I) = 0, which holds for every rigid motion.
 - The six rows of S share one denominator, eq. 2's for the whole matrix: solving rows one by one
   or as a 6 x 6 block gains nothing under Jacobi iteration.
@@ -175,7 +175,7 @@ class ViscosityConstraints:
         """Solve once for all strain rates.
 
         Args:
-            support: Neighbours within the kernel.
+            support: Neighbors within the kernel.
             displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """

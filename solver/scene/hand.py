@@ -138,7 +138,7 @@ class Hand:
             name = names[int(np.argmin(near))]
             raise ValueError(
                 f"The pose of bone {name!r} is farther than {MAX_DISTANCE:g} m away; are its units "
-                f"metres? {kept}"
+                f"meters? {kept}"
             )
         turns = poses[:, :3, :3] @ rest_inverse[:, :3, :3]
         upright = np.linalg.det(turns) > 0.0
