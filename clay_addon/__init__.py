@@ -11,6 +11,7 @@ import importlib
 _MODULES = (
     "base.preferences",
     "base.log",
+    "base.activity",
     "model.properties",
     "clay.make_clay",
     "sculpt.live_surface",

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import ClosedMesh, MeshError, closed_mesh, mesh_volume
 from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
 from ..core.surface.particle_grid import ParticleGrid
@@ -23,7 +24,7 @@ PARTICLE_COUNT_LEAST = 8
 """Fewer particles than this cannot deform like clay."""
 
 
-class ClayError(Exception):
+class ClayError(TactileClayError):
     """Something cannot become clay; the message says what is wrong and what to do."""
 
 

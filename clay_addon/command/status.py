@@ -9,12 +9,13 @@ from typing import Any
 
 import bpy
 
-from ..bake.checks import BakeError, compare, resolve_directory
-from ..bake.operators import size_text
+from ..bake.checks import compare
 from ..base.preferences import ADDON_VERSION, missing_parts
+from ..core.readable import size_text
 from ..core.storage.cache import Cache, CacheError
 from ..hands.hand import hand_message, hand_objects, read_hand_rig
 from ..hands.reading import HandError
+from ..model.cache_folder import CacheFolderError, resolve_directory
 from ..model.clay_scene import (
     SimulationError,
     clay_objects,
@@ -111,7 +112,7 @@ def _describe_bake(
     }
     try:
         cache = Cache(resolve_directory(scene, directory))
-    except BakeError as error:
+    except CacheFolderError as error:
         # Not a fault yet: nobody has asked for a bake.
         return {**table, "directory_problem": str(error)}
     table["directory"] = str(cache.directory)

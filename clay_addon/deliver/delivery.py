@@ -20,6 +20,7 @@ from statistics import median
 
 import bpy
 
+from ..base.activity import ActivityKind, BusyError, clay_activity
 from ..core.storage.cache import CacheError
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
@@ -157,6 +158,23 @@ def deliver_steps(
 
     Closing it stops the delivery, and leaves everything as it was.
     """
+    try:
+        clay_activity.check_free()
+    except BusyError as error:
+        raise DeliveryError(str(error)) from error
+    frames = _deliver_frames(context, kind, start, end, directory, points, show)
+    return (yield from clay_activity.through(ActivityKind.DELIVERY, frames))
+
+
+def _deliver_frames(
+    context: bpy.types.Context,
+    kind: str,
+    start: int | None,
+    end: int | None,
+    directory: str | os.PathLike[str] | None,
+    points: bool,
+    show: bool,
+) -> Generator[DeliveryProgress, None, DeliveryResult]:
     scene = context.scene
     began = time.perf_counter()
     if kind not in KINDS:

@@ -22,6 +22,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import Surface
 from ..core.surface.mesh_3mf import write_3mf
@@ -38,7 +39,7 @@ MINIMUM_WALL = 1.0
 """The thinnest wall that common printers make [mm]; resin bears half of it."""
 
 
-class ExportError(ValueError):
+class ExportError(TactileClayError, ValueError):
     """The clay cannot be exported; the message says why and what to do."""
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import bpy
 
+from ...solver.core.errors import TactileClayError
 from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
 from ..model.properties import held_frame
@@ -28,7 +29,7 @@ from .object import delivered_object
 __all__ = ["FrameNotBakedError", "RenderError", "RenderProgress", "RenderResult", "render_frames"]
 
 
-class RenderError(Exception):
+class RenderError(TactileClayError):
     """Frames cannot be rendered; the message says why and what to do."""
 
 

@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...solver.core.errors import TactileClayError
 from ...solver.hand.default_hand import default_hand
 from ...solver.hand.proportions import AVERAGE, REFERENCE_LENGTH, HandProportions
 from ...solver.hand.skinned_hand import SkinnedHand
@@ -24,7 +25,7 @@ _BONE_LENGTH = 0.008
 """Of a bone as Blender keeps it: along +Y, where no finger is, so that it says nothing [m]."""
 
 
-class AddHandError(Exception):
+class AddHandError(TactileClayError):
     """The default hand cannot be added; the message says why."""
 
 

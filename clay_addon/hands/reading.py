@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
 
@@ -17,7 +18,7 @@ _SAME_PLACE = 1e-5
 """Vertices closer than this share of the hand's length are one: seams of textures."""
 
 
-class HandError(Exception):
+class HandError(TactileClayError):
     """An object cannot be a clay hand; the message says why and what to do."""
 
 

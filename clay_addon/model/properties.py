@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 
+from ..base.signals import held_frames_changed, wheels_changed
 from .material_presets import (
     CUSTOM,
     MISSING,
@@ -42,9 +43,7 @@ def _become_custom(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _show_held(properties: Any, context: bpy.types.Context) -> None:
-    from ..playback.playback import refresh
-
-    refresh(properties.id_data)
+    held_frames_changed.send(properties.id_data)
 
 
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
@@ -53,10 +52,8 @@ def _tag_object(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
-    from ..wheel.wheel import refresh
-
     _tag_object(properties, context)
-    refresh(context.scene)
+    wheels_changed.send(context.scene)
 
 
 def _get_spacing(properties: Any) -> float:

@@ -11,15 +11,16 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..bake.checks import BakeError, resolve_directory
 from ..base.app_handlers import add_handlers, remove_handlers
 from ..base.mesh_geometry import local_from_world, transform
+from ..base.signals import held_frames_changed
 from ..core.storage.cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
+from ..model.cache_folder import CacheFolderError, resolve_directory
 from ..model.clay_points import BAKED_MARK, is_sculpted, write_points
 from ..model.clay_scene import SimulationError, clay_objects, read_points
 from ..model.digest import clay_digest
 from ..model.properties import held_frame
-from .pack import is_packed
+from .packed import is_packed
 
 _messages: dict[str, str] = {}
 _metas: dict[Path, tuple[int, Meta]] = {}
@@ -30,7 +31,7 @@ def cache_of(scene: bpy.types.Scene) -> Cache | None:
     """The scene's cache; None where its folder cannot be told, as of a .blend never saved."""
     try:
         return Cache(resolve_directory(scene))
-    except BakeError:
+    except CacheFolderError:
         return None
 
 
@@ -196,10 +197,12 @@ _HANDLERS = (
 def register() -> None:
     """Add the handlers, each once."""
     add_handlers(_HANDLERS)
+    held_frames_changed.connect(refresh)
 
 
 def unregister() -> None:
     """Remove the handlers."""
+    held_frames_changed.disconnect(refresh)
     remove_handlers(_HANDLERS)
     _messages.clear()
     _metas.clear()

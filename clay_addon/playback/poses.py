@@ -14,11 +14,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import find_curve
 from ..clay.look import get_input, input_path, set_input
 from ..model.clay_points import BAKED_MARK, SCULPTED_MARK
-from .pack import FRAME_ATTRIBUTE, is_packed
-from .pack import MODIFIER_NAME as PLAYBACK_MODIFIER
+from .packed import FRAME_ATTRIBUTE, is_packed
+from .packed import MODIFIER_NAME as PLAYBACK_MODIFIER
 
 NODE_GROUP_NAME = "Clay Poses"
 MODIFIER_NAME = "Clay Poses"
@@ -28,7 +29,7 @@ _MARK = "tactile_clay_poses"
 _VERSION = 1
 
 
-class PoseError(ValueError):
+class PoseError(TactileClayError, ValueError):
     """A pose cannot be keyed or taken; the message says why and what to do."""
 
 

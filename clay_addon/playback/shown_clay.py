@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import find_curve
 from ..base.mesh_geometry import transform
 from ..core.storage.cache import Cache, Meta
@@ -18,12 +19,12 @@ from ..core.surface.exact import Surface, reconstruct
 from ..model.clay_points import is_sculpted, present_rows
 from ..model.clay_scene import clay_colors, read_points
 from ..model.properties import held_frame
-from .pack import is_packed, packed_positions
+from .packed import is_packed, packed_positions
 from .playback import is_bake_of
 from .poses import pose_at
 
 
-class ShownClayError(ValueError):
+class ShownClayError(TactileClayError, ValueError):
     """The clay has no shape at a frame; the message says why and what to do."""
 
 

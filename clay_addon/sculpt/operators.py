@@ -6,8 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.redraw import redraw_views
+from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
 from ..clay.look import show_colors
 from ..core.brush.brush import Brush
 from ..model.clay_points import keep_sculpted, replace_points

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.core.recording_lock import recording_lock
+from ..base.activity import ActivityKind, clay_activity
 from ..base.mesh_geometry import local_from_world, transform
 from ..core.session.frame_budget import FrameBudget
 from ..core.session.pace import STEP_SECONDS, Pace
@@ -503,6 +504,7 @@ def start(context: bpy.types.Context, tools: Tools | None = None) -> SculptSessi
     if current is not None:
         raise SculptError("Sculpting goes on already. Press Esc or Finish to end it.")
     current = SculptSession(context, tools=tools)
+    clay_activity.begin(ActivityKind.SCULPTING)
     first = clay_state(context.scene)
     return current
 
@@ -516,6 +518,7 @@ def stop(context: bpy.types.Context | None) -> None:
     global current
     ended, current = current, None
     if ended is not None:
+        clay_activity.end()
         ended.finish(context)
 
 

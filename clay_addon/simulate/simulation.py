@@ -41,12 +41,11 @@ from ..model.clay_scene import (
 from ..model.collider import TAKE_TOOL, ColliderError, resolve_kind
 from ..model.digest import digest_of, scene_digests
 from ..wheel.wheel import is_wheel
+from .edited_clay import EditedClay
 from .hand_motion import HandState, MovingHand
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider, Scene, Solver
-    from ..take.film_edits import EditedClay
-
 
 _HELD = "scene_hand_{}_held"
 """Key of the pose that a hand holds, in a snapshot."""
@@ -120,8 +119,6 @@ class Simulation:
         self.edited: EditedClay | None = None
         """Edits that are carried out on the way; None where there are none."""
         if not live and scene.tactile_clay.film_edits:
-            from ..take.film_edits import EditedClay
-
             self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
         self.spacing = _common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)

@@ -18,10 +18,10 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import closed_mesh
 from ..base.preferences import missing_parts
 from ..clay.look import MODIFIER_NAME, add_look, get_input, set_input
-from ..clay.make_clay import make_point_cloud
 from ..clay.meshes import ClayError, Piece, fill_pieces
 from ..core.surface.exact import SurfaceError, reconstruct
 from ..core.take.frames import nearest
@@ -31,7 +31,8 @@ from ..hands.store import load_hand, stored_spacing
 from ..model.clay_scene import clay_objects, collider_objects
 from ..model.collider import TAKE_TOOL
 from ..model.material_properties import copy_material
-from .film_edits import prepare_for_edits, room_for, unknown_edit
+from ..model.point_cloud import make_point_cloud
+from ..simulate.edited_clay import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
 from .pose import followed
 from .store import take_edits, take_start
@@ -42,7 +43,7 @@ _SAME_SPACING = 0.01
 _TAKE = re.compile(r"_take_\d{3,}$")
 
 
-class FilmError(Exception):
+class FilmError(TactileClayError):
     """A take cannot be baked again; the message says why and what to do."""
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from ..bake import operators as bake_operators
+from ..base.activity import BusyError, clay_activity
 from ..core.storage.cache import CacheError
 from ..core.take.files import is_take
 from .film import FilmError, make_film
@@ -50,15 +50,13 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Make the film's scene, go there and bake it; in the interface a frame at a time."""
-        if bake_operators.running is not None:
-            self.report({"ERROR"}, "A bake is running already. Press Esc to stop it.")
-            return {"CANCELLED"}
         window = context.window
         if window is not None and not bpy.app.background:
             window.cursor_modal_set("WAIT")
         try:
+            clay_activity.check_free()
             film = make_film(context, spacing=self.spacing, substeps=self.substeps)
-        except FilmError as error:
+        except (BusyError, FilmError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         finally:

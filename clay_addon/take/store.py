@@ -17,7 +17,7 @@ from ..core.take.files import read_take
 from ..model.clay_points import SCULPTED_MARK
 from ..model.clay_scene import clay_objects
 from ..playback.playback import refresh
-from .film_edits import edits_of_text, edits_text
+from ..simulate.edited_clay import edits_of_text, edits_text
 from .keys import key_take
 
 _COARSEST = 1 / 60

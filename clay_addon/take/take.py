@@ -21,13 +21,14 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bake.checks import BakeError, owner_of, resolve_directory
+from ...solver.core.errors import TactileClayError
 from ..base.preferences import ADDON_VERSION
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.take.data import TakeHeader, ToolShape
 from ..core.take.files import write_header, write_start, write_tool
 from ..core.take.frames import TakeFrames
 from ..core.take.writer import TakeWriter
+from ..model.cache_folder import CacheFolderError, owner_of, resolve_directory
 from ..model.clay_scene import clay_colors, frames_per_second
 from ..simulate.simulation import Simulation
 from .pose import Moment, followed, pose_now
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"(.*)_take_\d{3,}")
 
 
-class TakeError(Exception):
+class TakeError(TactileClayError):
     """A take cannot be recorded or used; the message says why and what to do."""
 
 
@@ -123,7 +124,7 @@ class TakeRecorder:
             write_header(folder, header)
         except OSError as error:
             raise TakeError(f"{folder} cannot be made ({error.strerror or error}).") from error
-        except (BakeError, CacheError) as error:
+        except (CacheFolderError, CacheError) as error:
             raise TakeError(str(error)) from error
         recorder.look(bpy.context.evaluated_depsgraph_get())
         recorder._take_row()
@@ -314,7 +315,7 @@ def free_directory(scene: bpy.types.Scene) -> Path:
     """A folder for a new take, beside the scene's cache.
 
     Raises:
-        BakeError: The scene has no cache folder, or the .blend was never saved.
+        CacheFolderError: The scene has no cache folder, or the .blend was never saved.
     """
     cache = resolve_directory(scene)
     match = _NUMBER.fullmatch(cache.name)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
+from ...solver.core.errors import TactileClayError
 from .properties import ARRAY_ITEMS
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ _ARROW = 0.06
 """Length of the arrow out of the plate [m]."""
 
 
-class TouchArrayError(Exception):
+class TouchArrayError(TactileClayError):
     """An array object cannot be used; the message says why and what to do."""
 
 

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import CONSTANT, LINEAR, Channel, write_channels
 from ..core.storage.cache import Cache, CacheError
 from ..core.storage.foci import FociFrame, read_foci
@@ -25,7 +26,7 @@ PRESSURE_PROPERTY = "pressure"
 _MARK = "tactile_clay_foci"
 
 
-class FociError(ValueError):
+class FociError(TactileClayError, ValueError):
     """Focal points cannot be made into empties; the message says why and what to do."""
 
 

@@ -16,8 +16,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.core.errors import TactileClayError
 
-class CacheError(Exception):
+
+class CacheError(TactileClayError):
     """A cache cannot be read or written; the message says why and what to do."""
 
 

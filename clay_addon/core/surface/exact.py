@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ....solver.core.errors import TactileClayError
 from .particle_grid import ParticleGrid
 
 Floats = NDArray[np.float64]
@@ -34,7 +35,7 @@ LARGEST_EXTENT = 1e5
 COLOR_RADIUS = 1.5
 
 
-class SurfaceError(ValueError):
+class SurfaceError(TactileClayError, ValueError):
     """The particles have no surface that can be shipped; the message says why."""
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.core.errors import TactileClayError
 from ....solver.geometry.closed_mesh import MeshError, check_closed_mesh
 
 PRESET_FOLDER = Path(__file__).resolve().parents[3] / "presets" / "tools"
@@ -31,7 +32,7 @@ _TEXTS = ("label", "description", "mode", "align")
 _NUMBERS = ("friction", "size", "thinnest", "thickness")
 
 
-class ToolPresetError(ValueError):
+class ToolPresetError(TactileClayError, ValueError):
     """A tool preset cannot be used; the message names the file and what is wrong with it."""
 
 

@@ -18,7 +18,8 @@ from tactile_clay.clay_addon.clay import look
 from tactile_clay.clay_addon.clay.make_clay import make_clay
 from tactile_clay.clay_addon.deliver.delivery import deliver
 from tactile_clay.clay_addon.deliver.export import export_clay
-from tactile_clay.clay_addon.playback.pack import is_packed, pack_bake
+from tactile_clay.clay_addon.playback.pack import pack_bake
+from tactile_clay.clay_addon.playback.packed import is_packed
 from tactile_clay.clay_addon.playback.poses import (
     PoseError,
     key_pose,

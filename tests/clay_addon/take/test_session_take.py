@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 
 from tactile_clay.clay_addon.bake.bake import bake
-from tactile_clay.clay_addon.bake.checks import resolve_directory
 from tactile_clay.clay_addon.core.storage.cache import Cache
 from tactile_clay.clay_addon.core.tools.edits import Edit
+from tactile_clay.clay_addon.model.cache_folder import resolve_directory
 from tactile_clay.clay_addon.model.clay_scene import clay_objects
 from tactile_clay.clay_addon.sculpt import session as sessions
 from tactile_clay.clay_addon.sculpt.session import SculptSession

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.bake.checks import resolve_directory
 from tactile_clay.clay_addon.core.storage import whole_files as cache_files
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheError
 from tactile_clay.clay_addon.core.take.files import read_take
 from tactile_clay.clay_addon.core.tools.edits import Edit
 from tactile_clay.clay_addon.core.tools.settings import ToolMesh
+from tactile_clay.clay_addon.model.cache_folder import resolve_directory
 from tactile_clay.clay_addon.simulate.simulation import Simulation
 from tactile_clay.clay_addon.take.store import store_take, take_edits, take_start
 from tactile_clay.clay_addon.take.take import TakeError, TakeRecorder
