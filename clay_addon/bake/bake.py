@@ -174,9 +174,9 @@ def bake_steps(
     """
     scene = context.scene
     # Not above: the session knows of bakes too.
-    from ..sculpt import session
+    from ..sculpt.live.current import current
 
-    if session.current is not None:
+    if current.session is not None:
         raise BakeError("The clay is being sculpted. Press Finish, or Esc in the 3D view, first.")
     began = time.perf_counter()
     default_start, default_end = frame_range(scene)

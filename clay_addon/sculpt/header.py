@@ -8,7 +8,7 @@ from typing import Any
 import bpy
 
 from ..core.tools.tools import BY_IDENTIFIER, TOOLS, tool_items
-from . import session
+from .live.current import current
 from .properties import stamp_fault
 
 
@@ -86,7 +86,7 @@ def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
 
 
 def _draw_in_header(self: Any, context: bpy.types.Context) -> None:
-    if session.current is None:
+    if current.session is None:
         return
     layout = self.layout
     layout.separator()

@@ -16,7 +16,7 @@ from ..core.tools.presets import ToolPreset, ToolPresetError
 from ..core.tools.settings import BrushSettings
 from ..core.tools.tools import BY_IDENTIFIER, tool_items
 from ..model.clay_scene import clay_objects
-from . import session
+from .live.current import current
 from .tool_stamp import stamp_from_object
 
 _RADIUS = 0.012
@@ -81,7 +81,7 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
         name="Z", description="Mirror strokes about the clay's XY plane"
     )
     color: bpy.props.FloatVectorProperty(
-        name="Colour",
+        name="Color",
         description="Of paint, and of clay that is added",
         subtype="COLOR",
         size=3,
@@ -199,7 +199,7 @@ _held: dict[str, dict[str, Any]] = {}
 def _before_undo(*_: object) -> None:
     # The tool in one's hand is no part of what is undone, as with Blender's own brushes.
     _held.clear()
-    if session.current is not None:
+    if current.session is not None:
         for scene in bpy.data.scenes:
             properties = scene.tactile_clay_sculpt
             _held[scene.name] = {name: _value(properties, name) for name in _KEPT}

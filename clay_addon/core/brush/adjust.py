@@ -11,7 +11,7 @@ Adjusted = Literal["radius", "strength"]
 _STRENGTH_PIXELS = 200.0
 """So far the mouse goes from no strength to full strength [pixels]."""
 _PRECISE = 0.1
-LEAST_RADIUS = 1e-4
+MIN_RADIUS = 1e-4
 """[m]"""
 
 
@@ -46,7 +46,7 @@ class Adjustment:
         moved = (x - self.x) * (_PRECISE if precise else 1.0)
         self.x = x
         if self.name == "radius":
-            self.value = max(self.value + moved * self.pixel, LEAST_RADIUS)
+            self.value = max(self.value + moved * self.pixel, MIN_RADIUS)
         else:
             self.value = min(max(self.value + moved / _STRENGTH_PIXELS, 0.0), 1.0)
         return self.value

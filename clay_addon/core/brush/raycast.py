@@ -15,7 +15,7 @@ No ray slips between the particles of a cubic lattice at 0.71, of a disordered o
 """
 SKIN = 0.5
 """How far the surface lies outside the centres of the outermost particles [spacings]."""
-LEAST_REACH = 2.5
+MIN_REACH = 2.5
 """Normals and levels are averaged over at least this radius [spacings]."""
 
 
@@ -73,7 +73,7 @@ class ParticleSurface:
         start = np.asarray(origin, np.float64)
         way = np.asarray(direction, np.float64)
         way = way / np.linalg.norm(way)
-        reach = max(radius, LEAST_REACH * self.spacing)
+        reach = max(radius, MIN_REACH * self.spacing)
         near = self._slab(start, way, max(reach, COVER * self.spacing))
         along = (near - start) @ way
         beside = np.linalg.norm(near - start - along[:, None] * way, axis=1)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from .raycast import ParticleSurface
 from .view_ray import Ray, View
 
-_MOST_RAYS = 8
+_MAX_RAYS = 8
 """So many rays are cast for one motion of the cursor at most, so that none takes long."""
-_LEAST_PIXELS = 3.0
+_MIN_PIXELS = 3.0
 """Nearer together no rays are cast: the surface between is straight [pixels]."""
 
 
@@ -91,8 +91,8 @@ class SurfacePath:
         if far < 0.5:
             return []
         pixel = view.pixel(self._last.point)
-        step = max(0.5 * self.radius / max(pixel, 1e-12), _LEAST_PIXELS)
-        pieces = min(max(math.ceil(far / step), 1), _MOST_RAYS)
+        step = max(0.5 * self.radius / max(pixel, 1e-12), _MIN_PIXELS)
+        pieces = min(max(math.ceil(far / step), 1), _MAX_RAYS)
         begin, way = self._pixel, []
         for piece in range(1, pieces + 1):
             part = piece / pieces

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 EditKind = Literal["add", "remove", "paint"]
 
-LEAST_DISTANCE = 0.8
+MIN_DISTANCE = 0.8
 """New particles keep this far from those that are there [spacings]: nearer, they push them away."""
 
 
@@ -127,7 +127,7 @@ def _new_points(
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     lattice = lattice[np.linalg.norm(lattice - center, axis=1) < radius]
     near = points[(np.abs(points - center) < radius + spacing).all(1)].astype(np.float64)
-    free = _nearest_distance(lattice, near, spacing) >= LEAST_DISTANCE * spacing
+    free = _nearest_distance(lattice, near, spacing) >= MIN_DISTANCE * spacing
     return lattice[free].astype(np.float32)
 
 

@@ -9,10 +9,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.mesh_geometry import local_from_world, transform
-from ..core.tools.edits import Edit, apply_edit
-from ..model.clay_points import replace_points, write_colors
-from ..model.clay_scene import clay_colors, read_points
+from ...base.mesh_geometry import local_from_world, transform
+from ...core.tools.edits import Edit, apply_edit
+from ...model.clay_points import replace_points, write_colors
+from ...model.clay_scene import clay_colors, read_points
 
 
 def edit_clay(

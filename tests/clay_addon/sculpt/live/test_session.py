@@ -17,10 +17,10 @@ from tactile_clay.clay_addon.core.tools.edits import Edit
 from tactile_clay.clay_addon.core.tools.settings import ToolMesh
 from tactile_clay.clay_addon.model.clay_points import is_sculpted
 from tactile_clay.clay_addon.playback import playback
-from tactile_clay.clay_addon.sculpt import session as sessions
-from tactile_clay.clay_addon.sculpt.live_surface import OBJECT_NAME
-from tactile_clay.clay_addon.sculpt.session import SculptSession
-from tactile_clay.clay_addon.sculpt.session_checks import SculptError
+from tactile_clay.clay_addon.sculpt.live.checks import SculptError
+from tactile_clay.clay_addon.sculpt.live.current import current
+from tactile_clay.clay_addon.sculpt.live.session import SculptSession
+from tactile_clay.clay_addon.sculpt.live.surface import OBJECT_NAME
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Finger:
         ball = trimesh.creation.icosphere(2, 0.01)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
-    def poses(self, duration: float) -> list[tuple[Any, bool]]:
+    def poses(self, duration: float, positions: Any) -> list[tuple[Any, bool]]:
         """Above the clay, or in it."""
         self.poses_asked.append(duration)
         pose = np.eye(4)
@@ -102,10 +102,10 @@ def sculpting(studio: Any, tmp_path: Path) -> Iterator[Sculpting]:
     studio.save(tmp_path)
     finger, clock = Finger(), Clock()
     running = SculptSession(bpy.context, tools=finger, clock=clock)
-    sessions.current = running
+    current.session = running
     assert len(clay.data.points) == 64
     yield Sculpting(running, finger, clock)
-    sessions.stop(bpy.context)
+    current.stop(bpy.context)
 
 
 def top_of(studio: Any, clay: Any) -> float:
@@ -204,7 +204,7 @@ def test_moved_clay_stays_where_it_was_moved(studio: Any, sculpting: Sculpting) 
 def test_a_bake_no_longer_shows_over_sculpted_clay(studio: Any, sculpting: Sculpting) -> None:
     """Leave sculpted clay alone when the frame changes, until it is baked again."""
     clay = studio.scene.objects["Clay"]
-    sessions.stop(bpy.context)
+    current.stop(bpy.context)
     bake(bpy.context, end=3)
     finger, clock = Finger(), Clock()
     again = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
@@ -304,8 +304,8 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     """Leave no autosave, no paused playback and no session."""
     sculpting.run(0.1)
     sculpting.press(0.025)
-    sessions.stop(bpy.context)
-    assert sessions.current is None
+    current.stop(bpy.context)
+    assert current.session is None
     assert not list(tmp_path.glob("*autosave*"))
     assert playback._pauses == 0
 

@@ -11,11 +11,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.storage.cache import CacheError
-from ..core.tools.edits import Edit
-from ..core.tools.settings import ToolMesh
-from ..simulate.simulation import Simulation
-from ..take.take import Mark, TakeError, TakeRecorder
+from ...core.storage.cache import CacheError
+from ...core.tools.edits import Edit
+from ...core.tools.settings import ToolMesh
+from ...simulate.simulation import Simulation
+from ...take.take import Mark, TakeError, TakeRecorder
 
 
 class SessionTake:

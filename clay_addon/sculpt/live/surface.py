@@ -15,15 +15,15 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.surface_mesh import fill_surface_mesh
-from ..clay.look import MODIFIER_NAME
-from ..clay.look_material import clay_material
-from ..core.surface.worker import Part, SurfaceWorker
-from ..playback.poses import pose_modifier
+from ...base.app_handlers import add_handlers, remove_handlers
+from ...base.surface_mesh import fill_surface_mesh
+from ...clay.look import MODIFIER_NAME
+from ...clay.look_material import clay_material
+from ...core.surface.worker import Part, SurfaceWorker
+from ...playback.poses import pose_modifier
 
 OBJECT_NAME = "Live clay"
-LONGEST_SECONDS = 0.2
+MAX_SECONDS = 0.2
 """A surface that takes longer does not keep pace with hands."""
 _MARK = "tactile_clay_live_surface"
 """Custom property of the object that stands for the clay."""
@@ -61,7 +61,7 @@ class LiveSurface:
     ) -> None:
         if not clay_objects:
             raise ValueError("There is no clay to show.")
-        from ..core.surface.quick.surface import QuickSurface, load_kernels
+        from ...core.surface.quick.surface import QuickSurface, load_kernels
 
         self.spacing = clay_objects[0].tactile_clay.spacing
         quick = QuickSurface(self.spacing)
@@ -88,7 +88,7 @@ class LiveSurface:
     @property
     def keeps_pace(self) -> bool:
         """Whether surfaces are made fast enough to show the clay while it moves."""
-        return self.seconds + self._writing_seconds <= LONGEST_SECONDS
+        return self.seconds + self._writing_seconds <= MAX_SECONDS
 
     def offer(self, parts: Sequence[Part]) -> None:
         """Hand over where the clay is now; never waits.

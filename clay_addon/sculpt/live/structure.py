@@ -7,7 +7,7 @@ from collections.abc import Hashable
 
 import bpy
 
-from ..model.clay_scene import solver_settings
+from ...model.clay_scene import solver_settings
 
 _MATERIAL = ("density", "yield_stress", "viscosity", "shear_modulus", "friction", "spacing")
 

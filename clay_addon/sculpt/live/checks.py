@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import bpy
 
-from ..bake import operators as bake_operators
-from ..base.preferences import missing_parts
-from ..deliver import operators as delivery_operators
-from ..deliver.object import delivered_object
-from ..model.clay_scene import clay_objects
-from ..playback.pack import is_packed
+from ...bake import operators as bake_operators
+from ...base.preferences import missing_parts
+from ...deliver import operators as delivery_operators
+from ...deliver.object import delivered_object
+from ...model.clay_scene import clay_objects
+from ...playback.pack import is_packed
 
 
 class SculptError(Exception):

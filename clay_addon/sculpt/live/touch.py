@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from numpy.typing import NDArray
 
-from ..core.session.solver_worker import Stepped
-from ..simulate.simulation import Simulation
-from ..touch import touch
-from ..touch.array import TouchArrayError
-from ..touch.bake_touch import ghost_weights
+from ...core.session.solver_worker import Stepped
+from ...simulate.simulation import Simulation
+from ...touch import touch
+from ...touch.array import TouchArrayError
+from ...touch.bake_touch import ghost_weights
 
 
 class LiveTouch:
