@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.take.data import Edit, Steps
+from ..core.take.data import Steps, TakeEdit
 from ..core.take.files import read_take
 from ..model.clay_points import SCULPTED_MARK
 from ..model.clay_scene import clay_objects
@@ -99,7 +99,7 @@ def take_start(
     return positions, colors
 
 
-def take_edits(scene: bpy.types.Scene) -> list[Edit]:
+def take_edits(scene: bpy.types.Scene) -> list[TakeEdit]:
     """The edits of a scene's take, in the order they were made."""
     return edits_of_text(scene.tactile_clay.take_edits)
 

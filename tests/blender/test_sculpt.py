@@ -354,7 +354,7 @@ def test_clay_of_a_session_that_was_killed_is_there_again(
         assert float(found.output.split(f"TOP {name}")[1].split()[0]) == pytest.approx(
             dented, abs=0.001
         )
-    assert "The last session was cut short. Clay is as it was" in found.output
+    assert "The last session was cut short. Clay was recovered" in found.output
 
 
 def test_a_session_ends_cleanly_whatever_happens_to_it(

@@ -84,7 +84,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True)
-class Edit:
+class TakeEdit:
     """A change to the particles themselves, such as added clay."""
 
     time: float
@@ -102,7 +102,7 @@ class Take:
     header: TakeHeader
     steps: tuple[Steps, ...]
     """All steps in the order of their times."""
-    edits: tuple[Edit, ...]
+    edits: tuple[TakeEdit, ...]
     """In the order they were made."""
     tools: Mapping[int, ToolShape]
     """By number."""
@@ -121,14 +121,14 @@ def frame_count(seconds: float, rate: float) -> int:
     return max(1, math.ceil(seconds * rate - 1e-6))
 
 
-def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[Edit]]:
+def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[TakeEdit]]:
     """Leave out the steps and edits that were taken back.
 
     Args:
         parts: All steps in the order they were recorded.
     """
     kept: list[Steps] = []
-    edits: list[Edit] = []
+    edits: list[TakeEdit] = []
     count = 0
     for part in parts:
         first = 0
@@ -140,7 +140,7 @@ def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[Edit]]:
             if event is None:
                 continue
             if event["event"] == "edit":
-                edits.append(Edit(event["time"], event["kind"], event["parameters"]))
+                edits.append(TakeEdit(event["time"], event["kind"], event["parameters"]))
                 continue
             # Rewound: what lies later is gone.
             del edits[event["edits"] :]

@@ -14,7 +14,7 @@ import bpy
 from numpy.typing import NDArray
 
 from ...model.clay_scene import clay_objects
-from ...take.take import Mark
+from ...take.recorder import Mark
 
 _MARK = "clay_state"
 _MAX_BYTES = 256_000_000

@@ -21,7 +21,7 @@ def pressed(studio: Any, clay: Any) -> Any:
 
 
 def test_clay_is_taken_up_when_its_file_is_opened(studio: Any, tmp_path: Path) -> None:
-    """Find the clay as it was saved by itself, and say so."""
+    """Recover the autosaved clay, and say so."""
     clay = studio.clay()
     path = studio.save(tmp_path)
     saved = Autosave()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The live session, ticked by hand against a clock of its own."""
 
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -359,4 +361,59 @@ def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
     """Say what is missing, and leave all as it is."""
     with pytest.raises(SculptError, match="no clay"):
         SculptSession(bpy.context)
+    assert playback._pauses == 0
+
+
+def session_threads() -> set[str]:
+    """Names of the threads of a session that are alive."""
+    own = ("clay-sculpt", "clay surface", "clay-autosave", "clay-take")
+    return {each.name for each in threading.enumerate() if each.name.startswith(own)}
+
+
+def threads_end() -> bool:
+    """Whether all threads of a session end within some seconds."""
+    until = time.perf_counter() + 30.0
+    while session_threads() and time.perf_counter() < until:
+        time.sleep(0.02)
+    return not session_threads()
+
+
+@pytest.mark.parametrize("context", [bpy.context, None], ids=["scene", "no-scene"])
+def test_all_threads_end_even_if_the_end_fails(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: Any
+) -> None:
+    """End solver, surface, autosave and take when another file loads, or keeping the clay fails."""
+    studio.clay(location=(0.0, 0.0, 0.02))
+    studio.table()
+    studio.save(tmp_path)
+    studio.scene.tactile_clay.record_take = True
+    finger, clock = Finger(), Clock()
+    work = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+    work.run(0.1)
+    work.press(0.025)
+    assert len({name.split("_")[0] for name in session_threads()}) == 4
+    if context is None:
+        work.session.finish(None)
+    else:
+        monkeypatch.setattr(work.session.clay, "has_moved_far", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            work.session.finish(bpy.context)
+    assert threads_end(), session_threads()
+    assert playback._pauses == 0
+    work.session.finish(context)
+
+
+def test_a_session_that_cannot_start_leaves_no_thread(
+    studio: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """End the solver's thread if something fails after the build has begun."""
+    studio.clay(location=(0.0, 0.0, 0.02))
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("no wheels")
+
+    monkeypatch.setattr("tactile_clay.clay_addon.sculpt.live.session.LiveWheels", fail)
+    with pytest.raises(RuntimeError, match="no wheels"):
+        SculptSession(bpy.context)
+    assert threads_end(), session_threads()
     assert playback._pauses == 0
