@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse, drawn over the 3D view: it is no object, so Undo, files and the outliner
-know nothing of it."""
+"""The tool in the mouse, drawn over the 3D view. It is not an object, so Undo, files and the
+Outliner do not contain it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..core.tools.settings import ToolMesh
 
 _FELT = (0.82, 0.80, 0.76, 0.92)
 _UNFELT = (0.82, 0.80, 0.76, 0.45)
-"""Colours of a tool that the clay feels, and of one that hovers; linear RGBA."""
+"""Colors of a tool that the clay feels, and of one that hovers; linear RGBA."""
 _RING = (1.0, 1.0, 1.0, 0.55)
 _ARC = (1.0, 0.55, 0.25, 0.95)
 _SEGMENTS = 64
@@ -83,7 +83,7 @@ class BrushOverlay:
             self.draw(self.brush, view_matrix, scale=scene.unit_settings.scale_length)
 
     def draw(self, brush: Brush, view_matrix: NDArray[np.float64], *, scale: float) -> None:
-        """Draw a brush with the matrices that the GPU module has at the moment.
+        """Draw a brush with the current matrices of the GPU module.
 
         Args:
             brush: Its tool, copies and cursor.
@@ -130,7 +130,7 @@ class BrushOverlay:
         shader.uniform_float("color", color)
         gpu.state.depth_test_set("LESS_EQUAL")
         gpu.state.depth_mask_set(True)
-        # A mirrored tool shows its triangles the other way round.
+        # Mirroring turns the triangles inside out.
         gpu.state.face_culling_set("FRONT" if np.linalg.det(model[:3, :3]) < 0.0 else "BACK")
         self._batch(mesh, shader).draw(shader)
 
@@ -174,7 +174,7 @@ overlay = BrushOverlay()
 
 
 def shaded_corners(mesh: ToolMesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Corners of a mesh's triangles with their normals, round where it is round.
+    """Corners of a mesh's triangles with normals that are smooth except at sharp edges.
 
     Returns:
         Positions [m] and unit normals, shape [3 F, 3] each.
@@ -223,13 +223,13 @@ def _draw_ring(brush: Brush, scale: float) -> None:
 def ring_points(
     point: NDArray[np.float64], normal: NDArray[np.float64], radius: float, part: float = 1.0
 ) -> NDArray[np.float64]:
-    """A circle across a normal, or the first part of it.
+    """A circle around a normal, or the first part of one.
 
     Args:
-        point: Its middle [m], shape [3].
+        point: Center [m], shape [3].
         normal: Unit vector, shape [3].
         radius: Its radius [m].
-        part: How much of the circle, 0 to 1.
+        part: Fraction of the circle, 0 to 1.
 
     Returns:
         Points of a line [m], shape [S, 3].
@@ -237,7 +237,7 @@ def ring_points(
     up = tangent_of(np.array((0.0, 0.0, 1.0)), normal, np.array((0.0, 1.0, 0.0)))
     x, y, _ = frame_of(normal, up).T
     turn = np.linspace(0.0, 2.0 * np.pi * part, int(np.ceil(_SEGMENTS * part)) + 1)[:, None]
-    # Clockwise from the top, as a clock shows it.
+    # Clockwise from the top.
     return np.asarray(point + radius * (np.sin(turn) * x + np.cos(turn) * y))
 
 

@@ -14,7 +14,7 @@ from .live.session import SculptSession
 
 
 class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
-    """Working clay live."""
+    """Sculpt, record takes, and set the brush."""
 
     bl_label = "Sculpt"
     bl_order = 1
@@ -53,7 +53,7 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
 
 
 def speed_text(running: SculptSession) -> str:
-    """How fast simulated time goes by, in words."""
+    """The speed of simulated time, in words."""
     if not running.pace.started:
         return "Getting ready …"
     if running.factor > 0.95:

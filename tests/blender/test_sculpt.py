@@ -19,7 +19,7 @@ import numpy as np
 MODULE = "bl_ext.user_default.tactile_clay"
 ARGUMENTS = sys.argv[sys.argv.index("--") + 1:]
 bpy.ops.preferences.addon_enable(module=MODULE)
-live = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current").current
+sculpting = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current").current
 
 def clay():
     return bpy.data.objects["Clay"]
@@ -53,12 +53,12 @@ def start():
         assert bpy.ops.clay.sculpt("INVOKE_DEFAULT") == {"RUNNING_MODAL"}
 
 def moves():
-    running = live.session
+    running = sculpting.session
     return running is not None and running.pace.started
 
 def after(seconds):
     # Simulated time, which is what tools and clay go by.
-    running = live.session
+    running = sculpting.session
     until = running.pace.simulated + seconds
     return lambda: running.pace.simulated >= until
 
@@ -97,14 +97,14 @@ def steps():
     key("Z", ctrl=True)
     yield lambda: clay().data.get("clay_state") == 1
     yield after(0.2)
-    print("UNDONE", abs(top() - first) < 0.001, live.session is not None, flush=True)
+    print("UNDONE", abs(top() - first) < 0.001, sculpting.session is not None, flush=True)
     key("Z", ctrl=True, shift=True)
     yield lambda: clay().data.get("clay_state") == 2
     yield after(0.2)
     print("REDONE", abs(top() - second) < 0.001, flush=True)
     bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[1])
     key("ESC")
-    yield lambda: live.session is None
+    yield lambda: sculpting.session is None
     # Back to before the session, a step at a time.
     for _ in range(2):
         state = clay().data["clay_state"]
@@ -175,7 +175,7 @@ def steps():
     bpy.ops.wm.open_mainfile(filepath=ARGUMENTS[0])
     yield 0.5
     yield lambda: not threads()
-    print("FILE", live.session, threads(), handlers() == handlers_before, flush=True)
+    print("FILE", sculpting.session, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
     # What a person may do in the outliner meanwhile; in the view a surface stands for the clay.
@@ -183,33 +183,34 @@ def steps():
     other.data = clay().data.copy()
     other.location.x += 0.1
     bpy.context.scene.collection.objects.link(other)
-    yield lambda: [part.count for part in live.session.simulation.parts] == [1000, 1000]
+    yield lambda: [part.count for part in sculpting.session.simulation.parts] == [1000, 1000]
     yield after(0.1)
     other.name = "Other"
-    yield lambda: live.session.simulation.parts[1].name == "Other"
+    yield lambda: sculpting.session.simulation.parts[1].name == "Other"
     other.hide_viewport = True
-    yield lambda: len(live.session.simulation.parts) == 1
+    yield lambda: len(sculpting.session.simulation.parts) == 1
     yield after(0.1)
     other.hide_viewport = False
-    yield lambda: len(live.session.simulation.parts) == 2
+    yield lambda: len(sculpting.session.simulation.parts) == 2
     other.hide_set(True)
     yield after(0.1)
     bpy.data.objects.remove(other)
-    yield lambda: len(live.session.simulation.parts) == 1
+    yield lambda: len(sculpting.session.simulation.parts) == 1
     yield after(0.1)
     print("CLAY CAME AND WENT", flush=True)
     # The extension switched off in the middle of it.
     bpy.ops.preferences.addon_disable(module=MODULE)
     yield 0.5
     yield lambda: not threads()
-    print("OFF", live.session, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
+    print("OFF", sculpting.session, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
-    globals()["live"] = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current").current
+    current = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current")
+    globals()["sculpting"] = current.current
     yield 0.5
     start()
     yield moves
     bpy.data.objects.remove(clay())
-    yield lambda: live.session is None
+    yield lambda: sculpting.session is None
     yield lambda: not threads()
     print("NO CLAY LEFT", threads(), flush=True)
 
@@ -237,13 +238,13 @@ def steps():
     yield seen
     start()
     yield moves
-    yield lambda: live.session.felt > 1.0
+    yield lambda: sculpting.session.felt > 1.0
     print("FELT", flush=True)
     yield lambda: before - float(points()[:, 2].max()) > 0.006
     screenshot(ARGUMENTS[1])
-    print("PRESSED", len(live.session.simulation.hands), flush=True)
+    print("PRESSED", len(sculpting.session.simulation.hands), flush=True)
     key("ESC")
-    yield lambda: live.session is None
+    yield lambda: sculpting.session is None
     with in_view():
         bpy.ops.clay.tracking_stop()
     print("KEPT", before - float(points()[:, 2].max()) > 0.005, "clay_sculpted" in clay().data)
@@ -294,7 +295,7 @@ def steps():
     event("MIDDLEMOUSE", "RELEASE")
     region_3d = area.spaces.active.region_3d
     yield lambda: region_3d.view_rotation.rotation_difference(rotation).angle > 0.05
-    print("TURNED", live.session is not None, flush=True)
+    print("TURNED", sculpting.session is not None, flush=True)
     key("Z", ctrl=True)
     yield lambda: clay().data.get("clay_state") is None
     yield after(0.1)
@@ -305,7 +306,7 @@ def steps():
     print("REDONE", float(np.abs(points() - pressed).max()) < 0.003, flush=True)
     bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[1])
     key("ESC")
-    yield lambda: live.session is None
+    yield lambda: sculpting.session is None
     screenshot(ARGUMENTS[2])
     print("STANDS FOR IT", [i.name for i in bpy.data.objects if "Live" in i.name], flush=True)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse: what it does with the cursor, the pen and the wheel."""
+"""The tool in the mouse: it turns queued input into poses of its meshes and into edits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .view_region import Pointer
 
 @dataclass(frozen=True)
 class Cursor:
-    """What is drawn of a brush on the clay."""
+    """The place of a brush on the clay, to be drawn."""
 
     point: NDArray[np.float64]
     """On the surface [m], shape [3]."""
@@ -60,13 +60,13 @@ class Brush:
         self._blade_radius = 0.0
         self._poses: list[tuple[NDArray[np.float64], bool]] = []
         self.cursor: Cursor | None = None
-        """Where the brush is on the clay; None if it is nowhere near."""
+        """Where the brush is on the clay; None if it is not near any."""
 
     # What the session asks ------------------------------------------------------------------------
 
     @property
     def settings(self) -> BrushSettings:
-        """What the brush is set to: during a stroke, what it was when that began."""
+        """The settings of the brush; during a stroke, those at its start."""
         return self._settings
 
     @property
@@ -251,7 +251,7 @@ class Brush:
             self._edit_stroke = None
 
     def _hover(self) -> None:
-        """Without a stroke the tool floats over the clay under the cursor."""
+        """Without a stroke, let the tool float over the clay under the cursor."""
         if self._input.adjustment is None:
             pointer, settings = self._input.pointer, self._settings
             self.cursor = None

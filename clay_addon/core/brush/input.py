@@ -27,7 +27,7 @@ _MAX_SAMPLES = 6
 
 
 class Source(Protocol):
-    """Where a brush's settings are kept; see `properties.SceneSource`."""
+    """Where the settings of a brush are kept; see `SceneSource`."""
 
     def read(self) -> BrushSettings:
         """What is set now."""
@@ -54,7 +54,7 @@ class BrushInput:
     """Gathers what the user does with mouse, pen, wheel and keys, and hands it out at the tick.
 
     Args:
-        source: Where a radius or strength that is being chosen is written to.
+        source: Where a radius or strength that is being chosen is written.
     """
 
     def __init__(self, source: Source) -> None:
@@ -130,13 +130,13 @@ class BrushInput:
         """Take an event of Blender's window.
 
         Args:
-            context: With the window that the event is of.
+            context: Its window is the event's.
             event: The event.
             settings: What the brush is set to now.
             place: Where a pointer is in the world [m], shape [3].
 
         Returns:
-            Whether the event was the brush's.
+            Whether the event was for the brush.
         """
         if self._adjustment is not None:
             return self._adjust(event)
@@ -152,10 +152,10 @@ class BrushInput:
         return self._key(event, pointer, settings, place)
 
     def status_text(self, settings: BrushSettings) -> str:
-        """What keys and buttons do at the moment, for the status bar."""
+        """What keys and buttons do now, for the status bar."""
         tool = settings.tool
         if self.adjustment is not None:
-            return "Left mouse: confirm   Right mouse: cancel   Shift: finely"
+            return "Left mouse: confirm   Right mouse: cancel   Shift: precise"
         if self.held and tool.path == "pinch":
             return "Wheel or Shift: pull away from the surface   Esc: let go"
         if self.held and tool.path not in ("edit", "view"):
@@ -164,7 +164,7 @@ class BrushInput:
         if tool.identifier != "NONE":
             parts.append(f"Left mouse: {tool.label}")
             if tool.edit in ("add", "remove"):
-                parts.append("Ctrl: " + ("take away" if tool.edit == "add" else "add"))
+                parts.append("Ctrl: " + ("remove" if tool.edit == "add" else "add"))
             parts += ["F, [ ]: radius", "Shift F: strength"]
         return "   ".join((*parts, "Shift Space: tools", "Esc: finish"))
 
@@ -178,7 +178,7 @@ class BrushInput:
         return True
 
     def _steer(self, context: Any, event: Any, settings: BrushSettings) -> bool:
-        """During a stroke all events are the brush's."""
+        """Follow the mouse during a stroke; all events are then the brush's."""
         if event.type in _MOVES:
             assert self._pointer is not None
             area, region = self._pointer.area, self._pointer.region
@@ -230,7 +230,7 @@ class BrushInput:
         return True
 
     def _tell(self) -> None:
-        """Show the value that is being chosen in the view's header."""
+        """Show the value that is being chosen in the header of the view."""
         assert self._pointer is not None
         text = None if self._adjustment is None else self._adjustment.text
         self._pointer.area.header_text_set(text)

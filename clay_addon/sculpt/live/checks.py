@@ -14,14 +14,14 @@ from ...playback.pack import is_packed
 
 
 class SculptError(Exception):
-    """A session cannot start or go on; the message says why and what to do."""
+    """A session cannot start or continue; the message says why and what to do."""
 
 
 def check_free(scene: bpy.types.Scene) -> None:
-    """Refuse where something else has the clay.
+    """Refuse if something else uses the clay.
 
     Raises:
-        SculptError: It is baked, rendered, packed or linked; the message says what to do.
+        SculptError: The clay is being baked or rendered, or is packed or linked.
     """
     for sentence in missing_parts():
         raise SculptError(sentence)
