@@ -10,6 +10,7 @@ import importlib
 
 _MODULES = (
     "base.preferences",
+    "base.log",
     "model.properties",
     "clay.make_clay",
     "sculpt.live.surface",

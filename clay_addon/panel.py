@@ -15,6 +15,7 @@ from .core.storage.cache import Cache, CacheError
 from .hands.hand import hand_message, hand_objects
 from .model.clay_scene import SimulationError, clay_objects, collider_objects
 from .model.digest import scene_digests
+from .model.material_properties import draw_material
 from .model.properties import frame_range
 from .model.user_materials import user_material_folder, user_materials
 from .playback import playback
@@ -77,17 +78,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         row.prop(clay, "material_preset", text="")
         row.operator("clay.material_save", text="", icon="ADD")
         row.operator("clay.material_remove", text="", icon="REMOVE")
-        column = box.column(align=True)
-        # Inside the sliders there is room for the units.
-        column.use_property_split = False
-        for name in (
-            "density",
-            "yield_stress",
-            "viscosity",
-            "shear_modulus",
-            "friction",
-        ):
-            column.prop(clay, name)
+        draw_material(box, clay)
 
 
 class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801

@@ -8,7 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .clay_model import ClayModel
-from .contact.contacts import Contacts
+from .colliders.contacts import Contacts
 from .contact.law import MARGIN, ContactPass
 from .core.particles import Particles
 from .core.regions import Regions
@@ -111,7 +111,7 @@ class Solver:
         self._particles = Particles(scene, self.device)
         self._contacts = Contacts(scene, self._particles, friction=self.settings.friction)
         model = PaperModel if self.settings.model == "paper" else PlasticBonds
-        self._model: ClayModel = model(self._particles, self._contacts, self.settings)
+        self._model: ClayModel = model(scene, self._particles, self._contacts, self.settings)
         sleeping = self.settings.sleeping and self._model.can_sleep
         self._regions = Regions(self._particles, sleeping=sleeping)
 
@@ -349,7 +349,7 @@ class Solver:
         passes.append("motion")
         held = _bytes_held(self, set())
         lines = [
-            f"{self.scene.particle_count} particles, {len(self._particles.materials)} materials, "
+            f"{self.scene.particle_count} particles, {len(self._particles.mass)} materials, "
             f"model {self.settings.model}, device {self.device}",
             *(f"  {number}. {name}" for number, name in enumerate(passes, 1)),
             f"  {held / 1e6:.1f} MB on the device",

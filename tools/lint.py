@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Check style with ruff and types with mypy; exit 1 when either has something to say.
+"""Check style with ruff, types with mypy and layers with import-linter; exit 1 when one complains.
 
 The repository root is the package ``tactile_clay`` whatever the clone's folder is called, which
 mypy cannot know. So it is shown a folder ``build/types/tactile_clay`` with links to the parts.
@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+CHECK_IMPORTS = "from importlinter.cli import lint_imports_command as check; check()"
 PARTS = ("__init__.py", "clay_addon", "haptics", "solver", "tests")
 
 
@@ -31,13 +32,13 @@ def link_package() -> Path:
 
 
 def run(name: str, arguments: list[str]) -> bool:
-    """Run one checker as a module and show what it says, with the links' paths shortened.
+    """Run one checker and show what it says, with the links' paths shortened.
 
     Returns:
         Whether it was content.
     """
     result = subprocess.run(
-        [sys.executable, "-m", *arguments],
+        [sys.executable, *arguments],
         cwd=ROOT,
         text=True,
         stdout=subprocess.PIPE,
@@ -58,9 +59,10 @@ def main() -> int:
     """
     package = link_package()
     checks = {
-        "ruff check": ["ruff", "check", "--quiet", "."],
-        "ruff format": ["ruff", "format", "--check", "--quiet", "."],
-        "mypy": ["mypy", str(package), "tools"],
+        "ruff check": ["-m", "ruff", "check", "--quiet", "."],
+        "ruff format": ["-m", "ruff", "format", "--check", "--quiet", "."],
+        "mypy": ["-m", "mypy", str(package), "tools"],
+        "imports": ["-c", CHECK_IMPORTS, "--no-cache"],
     }
     contents = [run(name, arguments) for name, arguments in checks.items()]
     return 0 if all(contents) else 1

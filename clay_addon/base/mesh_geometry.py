@@ -23,6 +23,8 @@ def evaluated_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices and triangles of a mesh object with its modifiers applied.
 
+    What its geometry nodes instance is part of it, as it is of what one sees.
+
     Args:
         item: A mesh object.
         depsgraph: The evaluated state to take it from.
@@ -32,6 +34,21 @@ def evaluated_mesh(
         [F, 3], counter-clockwise seen from outside.
     """
     evaluated = item.evaluated_get(depsgraph)
+    parts = [_mesh_arrays(evaluated)]
+    if any(modifier.type == "NODES" for modifier in item.modifiers):
+        parts += _instances(item, evaluated, depsgraph)
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    return (
+        np.concatenate([vertices for vertices, _ in parts]),
+        np.concatenate(
+            [triangles + start for (_, triangles), start in zip(parts, starts, strict=False)]
+        ).astype(np.int32),
+    )
+
+
+def _mesh_arrays(
+    evaluated: bpy.types.Object,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     mesh = evaluated.to_mesh()
     try:
         vertices = np.empty((len(mesh.vertices), 3), np.float32)
@@ -43,6 +60,27 @@ def evaluated_mesh(
     finally:
         evaluated.to_mesh_clear()
     return vertices.astype(np.float64), triangles
+
+
+def _instances(
+    item: bpy.types.Object, evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph
+) -> list[tuple[NDArray[np.float64], NDArray[np.int32]]]:
+    """The meshes that an object instances, in its own coordinates."""
+    meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int32]]] = {}
+    parts = []
+    from_world = evaluated.matrix_world.inverted_safe()
+    for instance in depsgraph.object_instances:
+        if not instance.is_instance or instance.parent is None:
+            continue
+        if instance.parent.original != item or instance.object.type != "MESH":
+            continue
+        key = instance.object.data.session_uid
+        if key not in meshes:
+            meshes[key] = _mesh_arrays(instance.object)
+        vertices, triangles = meshes[key]
+        matrix = from_world @ instance.matrix_world
+        parts.append((transform(matrix, vertices), turn_for(matrix, triangles)))
+    return parts
 
 
 def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float64]:

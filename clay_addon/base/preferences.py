@@ -52,6 +52,9 @@ class ClayPreferences(bpy.types.AddonPreferences):
         """Draw the preferences."""
         draw_missing_parts(self.layout)
         self.layout.prop(self, "device")
+        row = self.layout.row()
+        row.alignment = "LEFT"
+        row.operator("clay.log_save", icon="TEXT")
 
 
 def draw_missing_parts(layout: bpy.types.UILayout) -> bool:

@@ -2,33 +2,19 @@
 """Make Clay: closed meshes become one point cloud of clay particles."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import bpy
 import numpy as np
-from mathutils import Vector
-from mathutils.bvhtree import BVHTree
-from mathutils.kdtree import KDTree
 from numpy.typing import NDArray
 
-from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh, mesh_volume
-from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
 from ..base.preferences import missing_parts
 from ..model.material_presets import SCENE, find_material, operator_items
 from .look import add_look, show_colors
-
-PARTICLE_COUNT_LIMIT = 1_000_000
-"""More particles than this in one object are taken for a slip of the hand."""
-
-PARTICLE_COUNT_LEAST = 8
-"""Fewer particles than this cannot deform like clay."""
+from .meshes import ClayError, check_particle_count, check_place, closed_pieces, fill_pieces
 
 DEFAULT_COLOR = (0.72, 0.36, 0.22, 1.0)
 """Colour of a piece that has neither material nor object colour: terracotta, linear RGBA."""
-
-
-class ClayError(Exception):
-    """Something cannot become clay; the message says what is wrong and what to do."""
 
 
 def make_clay(
@@ -37,6 +23,9 @@ def make_clay(
     spacing: float | None = None,
     material_preset: str | None = None,
     name: str = "Clay",
+    *,
+    follow_thin_walls: bool = False,
+    tell: Callable[[str], object] = lambda note: None,
 ) -> bpy.types.Object:
     """Make one clay object, a point cloud, out of closed meshes.
 
@@ -49,6 +38,8 @@ def make_clay(
         spacing: Distance between particles [Blender units]; the scene's where not given.
         material_preset: Name of a material preset; the scene's where not given.
         name: Name of the clay object.
+        follow_thin_walls: Whether walls too thin for the spacing get one layer of particles.
+        tell: Called with each sentence about what was done to the meshes to make clay of them.
 
     Raises:
         ClayError: The objects cannot become clay; the message names the object and the reason.
@@ -67,10 +58,12 @@ def make_clay(
     if not objects:
         raise ClayError("Nothing is selected. Select one or more closed meshes first.")
 
-    pieces = _closed_meshes(objects, context.evaluated_depsgraph_get())
-    _check_particle_count(pieces, spacing, scene)
-    _check_place(pieces, spacing)
-    points = fill_pieces(pieces, spacing, scene)
+    pieces = closed_pieces(objects, context.evaluated_depsgraph_get())
+    check_particle_count(pieces, spacing, scene)
+    check_place(pieces, spacing)
+    points, notes = fill_pieces(pieces, spacing, scene, follow_thin_walls=follow_thin_walls)
+    for note in notes:
+        tell(note)
     colors = np.concatenate(
         [
             np.tile(_color_of(item), (len(part), 1))
@@ -78,173 +71,6 @@ def make_clay(
         ]
     ).astype(np.float32)
     return _build(context, objects, np.concatenate(points), colors, spacing, preset, name)
-
-
-def _closed_meshes(
-    objects: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph
-) -> list[tuple[str, NDArray[np.float64], NDArray[np.int32]]]:
-    """Name, world vertices and triangles of each object."""
-    pieces = []
-    for item in objects:
-        if item.type != "MESH":
-            already = item.tactile_clay.role == "CLAY"
-            what = "is clay already" if already else f"is no mesh ({item.type.lower()})"
-            raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
-        if item.tactile_clay.role == "COLLIDER":
-            raise ClayError(
-                f"{item.name!r} is a collider. Leave it out of the selection, or press Remove "
-                "Collider first."
-            )
-        if item.tactile_clay.role == "HAND":
-            raise ClayError(
-                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove "
-                "Clay Hand first."
-            )
-        if item.library is not None:
-            raise ClayError(
-                f"{item.name!r} is linked from another file, so it cannot be hidden in renders. "
-                "Make it local first (Object > Relations > Make Local)."
-            )
-        if item.mode == "EDIT":
-            raise ClayError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
-        if is_switched_off(item, depsgraph):
-            raise ClayError(f"{item.name!r} {SWITCHED_OFF}")
-        vertices, triangles = evaluated_mesh(item, depsgraph)
-        matrix = item.evaluated_get(depsgraph).matrix_world
-        try:
-            vertices, triangles = check_closed_mesh(
-                transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
-            )
-        except MeshError as error:
-            raise ClayError(str(error)) from error
-        pieces.append((item.name, vertices, triangles))
-    return pieces
-
-
-def _check_particle_count(
-    pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]],
-    spacing: float,
-    scene: bpy.types.Scene,
-) -> None:
-    volumes = [mesh_volume(vertices, triangles) for _, vertices, triangles in pieces]
-    total = sum(volumes)
-    if total / spacing**3 > PARTICLE_COUNT_LIMIT:
-        raise ClayError(
-            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are "
-            f"the most. Use a spacing of at least "
-            f"{_length(_rounded(total / PARTICLE_COUNT_LIMIT, up=True), scene)}, or check the "
-            "size of the meshes."
-        )
-    for (name, _, _), volume in zip(pieces, volumes, strict=True):
-        if round(volume / spacing**3) < PARTICLE_COUNT_LEAST:
-            raise ClayError(
-                f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
-                f"{round(volume / spacing**3)} particles. Use a spacing of at most "
-                f"{_length(_rounded(volume / 200, up=False), scene)}, or a larger mesh."
-            )
-
-
-def _check_place(
-    pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]], spacing: float
-) -> None:
-    for name, vertices, _ in pieces:
-        # The step of single precision at the farthest coordinate.
-        if np.spacing(np.float32(np.abs(vertices).max())) > 0.01 * spacing:
-            raise ClayError(
-                f"{name!r} lies so far from the world's origin that single precision blurs its "
-                "particles. Move it closer to the origin."
-            )
-
-
-def _rounded(cell_volume: float, *, up: bool) -> float:
-    """Edge of a cubic cell, rounded to two digits."""
-    edge = cell_volume ** (1 / 3)
-    step = 10.0 ** (math.floor(math.log10(edge)) - 1)
-    # Single precision makes a round edge a little longer or shorter.
-    return (math.ceil(edge / step - 1e-4) if up else math.floor(edge / step + 1e-4)) * step
-
-
-def _about(count: float) -> str:
-    step = 10 ** max(0, math.floor(math.log10(count)) - 2)
-    return f"{round(count / step) * step:,}"
-
-
-def _length(value: float, scene: bpy.types.Scene) -> str:
-    meters = value * scene.unit_settings.scale_length
-    if meters >= 1:
-        return f"{meters:.3g} m"
-    return f"{meters * 1e3:.3g} mm"
-
-
-def fill_pieces(
-    pieces: list[tuple[str, NDArray[np.float64], NDArray[np.int32]]],
-    spacing: float,
-    scene: bpy.types.Scene,
-) -> list[NDArray[np.float32]]:
-    """Particles of each piece, without those that an earlier piece has already.
-
-    Args:
-        pieces: Name, world vertices [Blender units] and triangles of each.
-        spacing: Distance between particles [Blender units].
-        scene: Its unit scale counts.
-
-    Raises:
-        ClayError: A piece cannot be filled.
-    """
-    from ...solver import fill_mesh
-
-    filled: list[NDArray[np.float32]] = []
-    for index, (name, vertices, triangles) in enumerate(pieces):
-        # The solver's messages speak of metres, so that is what it is given.
-        scale = scene.unit_settings.scale_length
-        try:
-            points = fill_mesh(vertices * scale, triangles, spacing * scale) / scale
-        except (MeshError, ValueError) as error:
-            raise ClayError(f"{name!r}: {error}") from error
-        for (_, other_vertices, other_triangles), other_points in zip(
-            pieces[:index], filled, strict=True
-        ):
-            points = points[
-                ~_occupied(points, other_vertices, other_triangles, other_points, spacing)
-            ]
-        filled.append(np.asarray(points, np.float32))
-    return filled
-
-
-def _occupied(
-    points: NDArray[np.floating],
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int32],
-    particles: NDArray[np.float32],
-    spacing: float,
-) -> NDArray[np.bool_]:
-    """Which points lie inside a mesh, or closer than half a spacing to its particles."""
-    taken = np.zeros(len(points), bool)
-    low, high = vertices.min(0) - spacing, vertices.max(0) + spacing
-    near = (points >= low).all(1) & (points <= high).all(1)
-    if not near.any() or not len(particles):
-        return taken
-    tree = BVHTree.FromPolygons(vertices.tolist(), triangles.tolist())
-    nearest = KDTree(len(particles))
-    for index, particle in enumerate(particles.tolist()):
-        nearest.insert(particle, index)
-    nearest.balance()
-    for index in np.flatnonzero(near).tolist():
-        point = Vector(points[index].tolist())
-        taken[index] = nearest.find(point)[2] < 0.5 * spacing or _inside(tree, point)
-    return taken
-
-
-def _inside(tree: BVHTree, point: Vector) -> bool:
-    """Whether a ray out of a closed mesh crosses it an odd number of times."""
-    direction = Vector((0.5773, 0.1931, 0.7934))
-    crossings = 0
-    while True:
-        hit = tree.ray_cast(point, direction)[0]
-        if hit is None:
-            return crossings % 2 == 1
-        crossings += 1
-        point = hit + direction * 1e-5 * max(1e-3, hit.length)
 
 
 def _color_of(item: bpy.types.Object) -> tuple[float, ...]:
@@ -386,6 +212,13 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
         options={"SKIP_SAVE"},
     )
 
+    follow_thin_walls: bpy.props.BoolProperty(
+        name="Thin Walls",
+        description="Give walls that are thinner than the spacing one layer of particles",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Make the clay, or report why not."""
         window = context.window
@@ -397,6 +230,8 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
                 list(context.selected_objects),
                 self.spacing or None,
                 None if self.material_preset == SCENE else self.material_preset,
+                follow_thin_walls=self.follow_thin_walls,
+                tell=lambda note: self.report({"WARNING"}, note),
             )
         except ClayError as error:
             self.report({"ERROR"}, str(error))

@@ -56,7 +56,7 @@ def main(argv: Sequence[str]) -> int:
     except SystemExit as end:
         return int(end.code or 0)
     from ..bake.bake import BakeError
-    from ..clay.make_clay import ClayError
+    from ..clay.meshes import ClayError
     from ..core.storage.cache import CacheError
     from ..core.surface.exact import SurfaceError
     from ..deliver.export import ExportError

@@ -11,6 +11,7 @@ from ...solver.scene.material import Material
 from ...solver.scene.settings import Settings
 from ..base.mesh_geometry import transform
 from ..base.preferences import device_choice, missing_parts
+from .material_properties import read_material
 
 
 class SimulationError(Exception):
@@ -99,14 +100,7 @@ def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> 
 
 def material_of(item: bpy.types.Object) -> Material:
     """What a clay object is made of."""
-    values = item.tactile_clay
-    return Material(
-        density=values.density,
-        yield_stress=values.yield_stress,
-        viscosity=values.viscosity,
-        shear_modulus=values.shear_modulus,
-        friction=values.friction,
-    )
+    return read_material(item.tactile_clay)
 
 
 def solver_settings(scene: bpy.types.Scene) -> Settings:

@@ -13,7 +13,7 @@ from .material_presets import (
     object_items,
     scene_items,
 )
-from .user_materials import MATERIAL_VALUES
+from .material_properties import property_declarations, write_material
 
 FASTEST_WHEEL = 400.0
 """Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
@@ -31,8 +31,7 @@ def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
     material = find_material(name)
     _filling = True
     try:
-        for name in MATERIAL_VALUES:
-            setattr(properties, name, getattr(material, name))
+        write_material(properties, material)
     finally:
         _filling = False
 
@@ -75,7 +74,13 @@ class ClaySource(bpy.types.PropertyGroup):
     source: bpy.props.PointerProperty(name="Source", type=bpy.types.Object)
 
 
-class ClayObjectProperties(bpy.types.PropertyGroup):
+class _MaterialValues:
+    """The values of a material, made from the solver's table of them."""
+
+    __annotations__ = property_declarations(_become_custom)
+
+
+class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     """What an object is to the clay. Lengths are in Blender units, all else in SI units."""
 
     role: bpy.props.EnumProperty(
@@ -94,46 +99,6 @@ class ClayObjectProperties(bpy.types.PropertyGroup):
         items=object_items,
         default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
-    )
-    density: bpy.props.FloatProperty(
-        name="Density (kg/m³)",
-        description="Mass of a cubic metre at rest [kg/m³]",
-        default=1700.0,
-        min=1.0,
-        soft_max=10000.0,
-        update=_become_custom,
-    )
-    yield_stress: bpy.props.FloatProperty(
-        name="Yield Stress (Pa)",
-        description="Shear stress at which the clay starts to flow [Pa]",
-        default=5000.0,
-        min=0.0,
-        soft_max=100000.0,
-        update=_become_custom,
-    )
-    viscosity: bpy.props.FloatProperty(
-        name="Viscosity (Pa·s)",
-        description="Resistance to flow beyond the yield stress [Pa·s]",
-        default=200.0,
-        min=0.0,
-        soft_max=5000.0,
-        update=_become_custom,
-    )
-    shear_modulus: bpy.props.FloatProperty(
-        name="Shear Modulus (Pa)",
-        description="Stiffness below the yield stress [Pa]",
-        default=100000.0,
-        min=1.0,
-        soft_max=1000000.0,
-        update=_become_custom,
-    )
-    friction: bpy.props.FloatProperty(
-        name="Friction",
-        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
-        default=0.5,
-        min=0.0,
-        soft_max=1.0,
-        update=_become_custom,
     )
     spacing: bpy.props.FloatProperty(
         name="Spacing",

@@ -2,7 +2,7 @@
 """Materials of the user's own: TOML files in a folder that Blender keeps for its user.
 
 They look like those in ``presets/materials``: a label, and a ``[material]`` table with the values
-that a clay object has.
+of a `Material`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,14 @@ from pathlib import Path
 
 import bpy
 
-from ...solver.scene.material import Material
+from ...solver.scene.material import MATERIAL_FIELDS, Material
 from ..base.preferences import ADDON
 
-MATERIAL_VALUES = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
-"""What a clay object keeps of its material."""
 RESERVED_NAMES = ("CUSTOM", "SCENE")
 """Names that the interface uses for something else."""
 LABEL_LENGTH = 40
 """Most letters in a label: more do not fit into the panel."""
 
-_LEAST = {"density": 1.0, "shear_modulus": 1.0}
-"""Least values that the sliders take; for others 0."""
 _FRESH_SECONDS = 1.0
 """The folder is looked at no more often than this [s]: a panel is drawn constantly."""
 _DEVICE_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)$")
@@ -114,12 +110,10 @@ def read_user_materials(folder: Path) -> UserMaterials:
 def _read(path: Path) -> UserMaterial:
     material = Material.from_toml(path)
     table = tomllib.loads(path.read_text(encoding="utf-8"))
-    for key in table["material"]:
-        if key not in MATERIAL_VALUES:
-            raise ValueError(f"{key} is not among the values that clay in Blender has.")
-    for key, least in _LEAST.items():
-        if getattr(material, key) < least:
-            raise ValueError(f"{key} is {getattr(material, key):g}; it must be at least {least:g}.")
+    for field in MATERIAL_FIELDS:
+        value = getattr(material, field.name)
+        if value is not None and value < field.minimum:
+            raise ValueError(f"{field.name} is {value:g}; it must be at least {field.minimum:g}.")
     label = table.get("label", path.stem)
     if not isinstance(label, str) or not label.strip():
         raise ValueError(f"label is {label!r}; it must be a text.")
@@ -193,9 +187,8 @@ def save_user_material(label: str, material: Material, *, replace: bool = False)
     for other in (*Material.preset_names(), *(each.name for each in user_materials().materials)):
         if other != name and material_number(other) == number:
             raise UserMaterialError(f"{label!r} cannot be told from {other!r}. Choose another.")
-    values = "".join(f"{key} = {float(getattr(material, key))!r}\n" for key in MATERIAL_VALUES)
     # JSON's strings are TOML's, for printable text.
-    text = f"label = {json.dumps(label, ensure_ascii=False)}\n\n[material]\n{values}"
+    text = f"label = {json.dumps(label, ensure_ascii=False)}\n\n{material.to_toml()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write_whole(path, text)

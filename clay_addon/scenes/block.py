@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.scene.material import Material
-from ..clay.make_clay import ClayError, make_clay
+from ..clay.make_clay import make_clay
+from ..clay.meshes import ClayError
 from ..model.clay_scene import clay_objects, collider_objects
-from ..model.user_materials import MATERIAL_VALUES
+from ..model.material_properties import write_material
 from .parts import mesh_object, plain_material
 from .stage import add_table, scene_preset
 
@@ -89,8 +90,7 @@ def clay_from(
         bpy.data.meshes.remove(mesh)
         raise
     if material is not None:
-        for key in MATERIAL_VALUES:
-            setattr(clay.tactile_clay, key, getattr(material, key))
+        write_material(clay.tactile_clay, material)
     return clay
 
 

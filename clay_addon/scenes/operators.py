@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 
 from ..base.preferences import missing_parts
-from ..clay.make_clay import ClayError
+from ..clay.meshes import ClayError
 from ..hands.add_hand import AddHandError
 from ..hands.reading import HandError
 from ..model.collider import ColliderError

@@ -18,9 +18,11 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...solver.geometry.closed_mesh import closed_mesh
 from ..base.preferences import missing_parts
 from ..clay.look import MODIFIER_NAME, add_look, get_input, set_input
-from ..clay.make_clay import ClayError, fill_pieces, make_point_cloud
+from ..clay.make_clay import make_point_cloud
+from ..clay.meshes import ClayError, Piece, fill_pieces
 from ..core.surface.exact import SurfaceError, reconstruct
 from ..core.take.frames import nearest
 from ..hands.hand import hand_objects, make_hand, scene_spacing
@@ -28,6 +30,7 @@ from ..hands.reading import HandError, hand_armature
 from ..hands.store import load_hand, stored_spacing
 from ..model.clay_scene import clay_objects, collider_objects
 from ..model.collider import TAKE_TOOL
+from ..model.material_properties import copy_material
 from .film_edits import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
 from .pose import followed
@@ -36,7 +39,6 @@ from .store import take_edits, take_start
 FINER = 0.5
 """Default spacing of the film's clay, over that of the live clay."""
 _SAME_SPACING = 0.01
-_MATERIAL = ("density", "yield_stress", "viscosity", "shear_modulus", "friction")
 _TAKE = re.compile(r"_take_\d{3,}$")
 
 
@@ -120,9 +122,9 @@ def _filled(
             surface = reconstruct(positions, each)
         except (SurfaceError, ImportError) as error:
             raise FilmError(f"{item.name!r} at the start of the take: {error}") from error
-        shapes.append((item.name, surface.vertices, surface.faces.astype(np.int32)))
+        shapes.append(Piece(item.name, closed_mesh(surface.vertices, surface.faces)))
     try:
-        points = fill_pieces(shapes, spacing, scene)
+        points = fill_pieces(shapes, spacing, scene, follow_thin_walls=True).points
     except ClayError as error:
         raise FilmError(f"At the start of the take: {error}") from error
     return [
@@ -193,9 +195,7 @@ def _make_clay(
     properties.role = "CLAY"
     properties.spacing = spacing
     properties.material_preset = before.material_preset
-    for name in _MATERIAL:
-        if getattr(properties, name) != getattr(before, name):
-            setattr(properties, name, getattr(before, name))
+    copy_material(before, properties)
     for material in live.data.materials:
         clay.data.materials.append(material)
     modifier = add_look(clay, spacing=spacing)

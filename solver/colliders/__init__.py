@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Planes and moving meshes on the device."""
+"""Planes, moving meshes and hands on the device, and the clay's contacts with them."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Contact and friction of clay with planes, meshes and hands."""
+"""The law of contact and friction, and the search for contacts."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..scene.scene import Scene
 from . import particles_cpu
 from .awake import Awake, awake_particle
 from .threads import helper_thread, processor_count
@@ -88,24 +87,57 @@ SMALL = 1024
 """Fewer particles than this are not worth dividing among threads."""
 
 
+class HasDensity(Protocol):
+    """What particles need to know of a material."""
+
+    @property
+    def density(self) -> float:
+        """[kg/m³]"""
+
+
+class ParticleSource(Protocol):
+    """Where particles come from: a `Scene`."""
+
+    @property
+    def particle_count(self) -> int:
+        """How many there are."""
+
+    @property
+    def spacing(self) -> float:
+        """Distance between them [m]."""
+
+    @property
+    def gravity(self) -> tuple[float, float, float]:
+        """[m/s²]."""
+
+    def materials(self) -> tuple[Sequence[HasDensity], NDArray[np.int32]]:
+        """The different materials, and each particle's index among them, shape [N]."""
+
+    def initial_positions(self) -> NDArray[np.float32]:
+        """[m], shape [N, 3]."""
+
+    def initial_velocities(self) -> NDArray[np.float32]:
+        """[m/s], shape [N, 3]."""
+
+
 class Particles:
     """What every clay model works on.
 
     Args:
-        scene: Where particles, materials and gravity come from.
+        source: Where particles, materials and gravity come from.
         device: Warp device.
     """
 
-    def __init__(self, scene: Scene, device: wp.Device) -> None:
+    def __init__(self, source: ParticleSource, device: wp.Device) -> None:
         self.device = device
-        self.count = scene.particle_count
+        self.count = source.particle_count
         self.parts = 2 if device.is_cpu and self.count >= SMALL else 1
         """Parts that passes by block work on, one after the other or side by side."""
-        self.spacing = scene.spacing
-        self.gravity = scene.gravity
-        self.materials, indices = scene.materials()
-        volume = scene.spacing**3
-        masses = [m.density * volume for m in self.materials]
+        self.spacing = source.spacing
+        self.gravity = source.gravity
+        materials, indices = source.materials()
+        volume = source.spacing**3
+        masses = [m.density * volume for m in materials]
         self.least_mass = min(masses, default=volume)
         """Of all particles [kg]."""
         self.material = wp.array(indices, dtype=int, device=device)
@@ -114,10 +146,10 @@ class Particles:
         """Mass of a particle of each material [kg]."""
         self.position = zeros_with_room(self.count, wp.vec3, device)
         """[m]"""
-        self.position.assign(scene.initial_positions())
+        self.position.assign(source.initial_positions())
         self.velocity = zeros_with_room(self.count, wp.vec3, device)
         """[m/s], at the middle of a substep."""
-        self.velocity.assign(scene.initial_velocities())
+        self.velocity.assign(source.initial_velocities())
         self.velocity_free = wp.zeros(self.count, dtype=wp.vec3, device=device)
         """Velocities that nothing but gravity has changed in this substep [m/s]."""
         self.speed_limit = wp.zeros(1, dtype=float, device=device)

@@ -1,17 +1,43 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""C++ that passes for the CPU's vector units have in common: eight pairs at a time.
+"""C++ shared by the passes for the CPU's vector units, which take eight numbers at a time.
 
 Clang's vector types compile to whatever the processor has (AVX, NEON). A pass works on a block of
 particles at a time: calling a kernel for each costs as much as the work itself.
 """
 
 OPTIONS = {"cpu_compiler_flags": "-O3 -march=native"}
-"""Module options: the compiler may use all that this processor has."""
+"""Module options: the compiler may use everything that this processor offers."""
 BLOCK = 64
 """Particles in a block."""
 
-VECTORS = """{
+NUMBERS = """
+    #if defined(__CUDACC__)
+    #define ALWAYS_INLINE
+    auto most = [](float a, float b) { return fmaxf(a, b); };
+    auto least = [](float a, float b) { return fminf(a, b); };
+    auto root = [](float a) { return sqrtf(a); };
+    auto power = [](float a, float b) { return powf(a, b); };
+    #else
+    #define ALWAYS_INLINE __attribute__((always_inline))
+    auto most = [](auto a, auto b) ALWAYS_INLINE {
+        return __builtin_elementwise_max(a, (decltype(a))b);
+    };
+    auto least = [](auto a, auto b) ALWAYS_INLINE {
+        return __builtin_elementwise_min(a, (decltype(a))b);
+    };
+    auto root = [](auto a) ALWAYS_INLINE { return __builtin_elementwise_sqrt(a); };
+    auto power = [](float a, float b) ALWAYS_INLINE { return __builtin_powf(a, b); };
+    #endif
+    auto select = [](auto mask, auto a, auto b) ALWAYS_INLINE { return mask ? a : (decltype(a))b; };
+"""
+"""Functions for formulas that are written once for floats and for lanes: a number is a float or, on
+the CPU, also eight lanes of floats; a mask is a bool or eight lanes of -1 and 0."""
+
+VECTORS = (
+    f"""{{
     #pragma clang fp reassociate(on) contract(fast)
+    {NUMBERS}"""
+    + """
     typedef float f2 __attribute__((ext_vector_type(2)));
     typedef float f4 __attribute__((ext_vector_type(4)));
     typedef float f8 __attribute__((ext_vector_type(8)));
@@ -23,18 +49,11 @@ VECTORS = """{
     const i8 lanes = {0, 1, 2, 3, 4, 5, 6, 7};
     auto load = [](const float* p) __attribute__((always_inline)) { return *(const f8u*)p; };
     auto store = [](float* p, f8 v) __attribute__((always_inline)) { *(f8u*)p = v; };
-    auto most = [](f8 a, f8 b) __attribute__((always_inline)) {
-        return __builtin_elementwise_max(a, b);
-    };
-    auto least = [](f8 a, f8 b) __attribute__((always_inline)) {
-        return __builtin_elementwise_min(a, b);
-    };
-    auto root = [](f8 a) __attribute__((always_inline)) { return __builtin_elementwise_sqrt(a); };
     auto sum = [](f8 a) __attribute__((always_inline)) {
         const f4 b = a.lo + a.hi;
         return (b.x + b.z) + (b.y + b.w);
     };
-    // One vector of three; arrays that are read so have room behind the last.
+    // A vector of three numbers, read as four: the array must have room for one past its end.
     auto load3 = [](const float* p) __attribute__((always_inline)) {
         f4 v = *(const f4u*)p;
         v.w = 0.f;
@@ -47,7 +66,7 @@ VECTORS = """{
     auto cross = [](f4 a, f4 b) __attribute__((always_inline)) {
         return a.yzxw * b.zxyw - a.zxyw * b.yzxw;
     };
-    // Four numbers that stand together in each of eight rows, by place: whole loads, transposed.
+    // Four consecutive numbers of each of eight rows, by place: whole loads, transposed.
     auto pick_rows = [](const float* p, const int* j, int pitch, f8& x, f8& y, f8& z, f8& w)
         __attribute__((always_inline)) {
         auto row = [&](int l) __attribute__((always_inline)) {
@@ -66,7 +85,8 @@ VECTORS = """{
         z = __builtin_shufflevector(ab2, cd2, 0, 1, 8, 9, 4, 5, 12, 13);
         w = __builtin_shufflevector(ab2, cd2, 2, 3, 10, 11, 6, 7, 14, 15);
     };
-    // Eight vectors from anywhere, by axis; of three, the array has room behind the last.
+    // Eight vectors of three or four numbers, by axis; for three, the array must have room for one
+    // number past its end.
     auto pick3 = [&](const float* p, const int* j, f8& x, f8& y, f8& z)
         __attribute__((always_inline)) {
         f8 next;
@@ -77,15 +97,16 @@ VECTORS = """{
         pick_rows(p, j, 4, x, y, z, w);
     };
 """
+)
 
 
 def over_block(setup: str, body: str, result: str = "") -> str:
     """Text of a native function that works on a block of particles.
 
     Args:
-        setup: What comes before the particles.
-        body: What happens to each particle ``i``.
-        result: What comes after them.
+        setup: Statements before the loop over particles.
+        body: Statements for each particle ``i``.
+        result: Statements after the loop.
 
     Returns:
         The text; the function must have the arguments ``block`` and ``awake``.
@@ -103,5 +124,5 @@ def over_block(setup: str, body: str, result: str = "") -> str:
 
 
 def for_one(setup: str, body: str, result: str = "") -> str:
-    """Text of a native function that does the same to the one particle ``i``."""
+    """Text of a native function that does the same for a single particle ``i``."""
     return f"{VECTORS}{setup}{body}{result}}}"

@@ -1,35 +1,62 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Filling a closed mesh with particles."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ..core.recording_lock import recording_lock
-from .closed_mesh import MeshError, check_closed_mesh, group_count, mesh_volume
+from .closed_mesh import ClosedMesh, MeshError, closed_mesh
+from .columns import cross_columns, union_volume
+from .shells import shell_volumes
+from .thickness import MIN_THICKNESS, layer_in_thin_walls, wall_thickness
 
-MOST_PARTICLES = 20_000_000
+MAX_PARTICLES = 20_000_000
 """More than this is taken for a mistake in units."""
 
-_CHUNK = 2_000_000
-_SAMPLING = 0.4
+_SAMPLING = 0.3
 """Distance at which the volume of overlapping bodies is sampled, in spacings."""
-_SAMPLING_ERROR = 0.03
-"""How far sampling can be off: bodies that differ by less are taken not to overlap."""
+_TOUCHING = 1e-4
+"""Points closer to the surface than this are on it, in spacings."""
+_THIN_SHARE = 0.02
+"""Part of the surface that may have thin walls without a word."""
+_ALL_THIN = 0.5
+"""Part of the surface with thin walls from which on the mesh is a sheet."""
+_NEIGHBORS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+
+
+class ThinWallsError(MeshError):
+    """A mesh is a sheet thinner than the particle spacing."""
 
 
 @wp.kernel(enable_backward=False)
-def measure_depth(
-    mesh: wp.uint64, point: wp.array[wp.vec3], farthest: float, depth: wp.array[float]
+def measure_distance(
+    mesh: wp.uint64, point: wp.array[wp.vec3], farthest: float, distance: wp.array[float]
 ) -> None:
-    """Signed distance to the mesh, positive inside [m]."""
+    """Distance to the mesh, or the farthest that is looked for."""
     i = wp.tid()
-    query = wp.mesh_query_point_sign_winding_number(mesh, point[i], farthest)
+    query = wp.mesh_query_point_no_sign(mesh, point[i], farthest)
     if query.result:
         nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
-        depth[i] = -query.sign * wp.length(point[i] - nearest)
+        distance[i] = wp.length(point[i] - nearest)
     else:
-        depth[i] = -farthest
+        distance[i] = farthest
+
+
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """Particles in a mesh, and what a person should know of how they came there."""
+
+    points: NDArray[np.float32]
+    """[m], shape [N, 3]."""
+    mesh: ClosedMesh
+    """What was filled."""
+    notes: tuple[str, ...]
+    """What was done to the mesh, and what it costs, each as a sentence."""
 
 
 def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[np.float32]:
@@ -41,7 +68,8 @@ def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[
 
     Args:
         vertices: Corner positions [m], shape [V, 3].
-        faces: Triangles, shape [F, 3]; concave shapes and several bodies are fine.
+        faces: Triangles, shape [F, 3]; see `closed_mesh` for what is made of them. Concave shapes,
+            cavities and several bodies are fine; where bodies overlap, the clay is there once.
         spacing: Lattice spacing [m].
 
     Returns:
@@ -49,88 +77,179 @@ def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[
 
     Raises:
         MeshError: The mesh is open (the message names the number of holes), encloses no volume,
-            has coordinates that are not finite, or is too small or far too large for the spacing.
+            has coordinates that are not finite, is too small, too thin or far too large for the
+            spacing.
+    """
+    return fill(closed_mesh(vertices, faces), spacing).points
+
+
+def fill(
+    mesh: ClosedMesh, spacing: float, *, name: str = "The mesh", follow_thin_walls: bool = False
+) -> Filling:
+    """Place particles as `fill_mesh` does, and tell about it.
+
+    Args:
+        mesh: What to fill.
+        spacing: Lattice spacing [m].
+        name: What to call the mesh in an error.
+        follow_thin_walls: Whether walls too thin for the lattice get one layer of particles in
+            their middle, which makes them thicker, instead of an error or a note.
+
+    Raises:
+        ThinWallsError: The mesh is a sheet that is too thin for the spacing.
+        MeshError: The mesh is too small or far too large for the spacing.
     """
     if not (np.isfinite(spacing) and spacing > 0):
         raise ValueError(f"The particle spacing is {spacing!r} m; it must be above 0.")
-    points, triangles = check_closed_mesh(vertices, faces)
-    low, high = points.min(0), points.max(0)
-    cells = (high - low) / spacing
-    if np.prod(cells + 2.0) > 10.0 * MOST_PARTICLES:
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    volume = float(shell_volumes(mesh.vertices, mesh.faces, mesh.shell).sum()) / spacing**3
+    if volume > 2.0 * MAX_PARTICLES:
         raise MeshError(
-            f"The mesh is {max(high - low):.3g} m long and would take far too many particles at a "
+            f"{name} is {max(high - low):.3g} m long and would take far too many particles at a "
             f"spacing of {spacing:.3g} m; check its units or use a larger spacing."
         )
     center = 0.5 * (low + high)
-    local = ((points - center) / spacing).astype(np.float32)
+    local = (mesh.vertices - center) / spacing
     with recording_lock:
-        mesh = wp.Mesh(
-            points=wp.array(local, dtype=wp.vec3, device="cpu"),
-            indices=wp.array(triangles.ravel(), dtype=int, device="cpu"),
-            support_winding_number=True,
+        surface = wp.Mesh(
+            points=wp.array(local.astype(np.float32), dtype=wp.vec3, device="cpu"),
+            indices=wp.array(mesh.faces.ravel(), dtype=int, device="cpu"),
         )
-    target = _particle_target(mesh, local, triangles)
-    if target == 0:
-        smallest = float(min(high - low))
+    united = union_volume(local, mesh.faces, volume, _SAMPLING)
+    target = round(united)
+    if float(max(high - low)) < spacing:
         raise MeshError(
-            f"The mesh is too small for a particle spacing of {spacing:.3g} m: it holds no "
-            f"particle. Use a spacing below {0.5 * smallest:.2g} m or a larger mesh."
+            f"{name} is too small for a particle spacing of {spacing:.3g} m: it holds no "
+            f"particle. Use a spacing below {0.5 * float(min(high - low)):.2g} m or a larger mesh."
         )
-    best: tuple[int, NDArray[np.float64], NDArray[np.float32]] | None = None
-    for shift in np.ndindex(2, 2, 2):
-        lattice = _lattice(cells, np.array(shift))
-        depth = _depths(mesh, lattice, float(np.linalg.norm(cells)) + 1.0)
-        miss = abs(int((depth > 0.0).sum()) - target)
-        if best is None or miss < best[0]:
-            best = (miss, lattice, depth)
-    assert best is not None
-    _, lattice, depth = best
-    if len(lattice) < target:
+    thickness = wall_thickness(surface, local, mesh.faces)
+    thin = thickness.share_below(MIN_THICKNESS)
+    # Where bodies overlap, rays meet walls that are inside of others.
+    is_thin = thin > _THIN_SHARE and united == volume
+    notes = list(mesh.notes)
+    if is_thin:
+        wall = 1e3 * spacing * thickness.below(MIN_THICKNESS)
+        text = (
+            f"walls about {wall:.2g} mm thick, too thin for a particle spacing of "
+            f"{1e3 * spacing:.3g} mm"
+        )
+        if follow_thin_walls:
+            notes.append(
+                f"One layer of particles follows {text}; they become {1e3 * spacing:.3g} mm."
+            )
+        elif thin > _ALL_THIN:
+            raise ThinWallsError(
+                f"{name} has {text}. Use a spacing of at most {_rounded(wall):g} mm, make it "
+                "thicker, or fill it with one layer of particles (Thin Walls)."
+            )
+        else:
+            notes.append(f"{thin:.0%} of the surface has {text}: particles are missing there.")
+    if target == 0 and not (is_thin and follow_thin_walls):
         raise MeshError(
-            f"The mesh is too thin for a particle spacing of {spacing:.3g} m; use a smaller one."
+            f"{name} holds no particle at a spacing of {spacing:.3g} m. Use a spacing below "
+            f"{0.5 * float(min(high - low)):.2g} m or a larger mesh."
         )
-    # Rounding keeps points that are equally deep in lattice order, whatever the last bits say.
-    deepest = np.sort(np.argsort(-np.round(depth, 4), kind="stable")[:target])
-    return (lattice[deepest] * spacing + center).astype(np.float32)
+    lattice = np.zeros((0, 3))
+    if not (is_thin and follow_thin_walls and thin > _ALL_THIN):
+        lattices = (_LatticeFilling(surface, local, mesh.faces, s) for s in np.ndindex(2, 2, 2))
+        lattice = min(lattices, key=lambda one: abs(one.count - target)).points(target)
+    if is_thin and follow_thin_walls:
+        lattice = np.concatenate(
+            [lattice, layer_in_thin_walls(surface, local, mesh.faces, lattice)]
+        )
+    points = (lattice * spacing + center).astype(np.float32)
+    return Filling(points, mesh, tuple(notes))
 
 
-def _particle_target(
-    mesh: wp.Mesh, local: NDArray[np.float32], triangles: NDArray[np.int32]
-) -> int:
-    """Volume in units of spacing³; where bodies overlap, the overlap counts once."""
-    volume = mesh_volume(local, triangles)
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    if group_count(edges) == 1:
-        return round(volume)
-    extent = np.ptp(local, axis=0).astype(np.float64)
-    # One sample anywhere in each cell: a plain grid would count the flat sides of boxes wrong.
-    samples = _lattice(extent / _SAMPLING, np.zeros(3, np.int64))
-    samples = (samples + np.random.default_rng(0).uniform(-0.5, 0.5, samples.shape)) * _SAMPLING
-    depth = _depths(mesh, samples, float(np.linalg.norm(extent)) + 1.0)
-    filled = float((depth > 0.0).sum()) * _SAMPLING**3
-    return round(volume if abs(filled - volume) < _SAMPLING_ERROR * volume else filled)
+class _LatticeFilling:
+    """The points of one lattice that lie in a mesh, in units of the spacing.
 
+    Args:
+        surface: The mesh for distances.
+        vertices: Its corners around the origin, shape [V, 3].
+        faces: Corner indices, shape [F, 3].
+        shift: Along which axes the lattice is moved by half a cell.
+    """
 
-def _lattice(cells: NDArray[np.float64], shift: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Lattice points around the origin in units of the spacing, one layer past the mesh."""
-    axes = []
-    for extent, half in zip(cells, shift, strict=True):
-        reach = int(np.ceil(0.5 * extent)) + 1
-        axes.append(np.arange(-reach, reach + 1) + 0.5 * half)
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    def __init__(
+        self,
+        surface: wp.Mesh,
+        vertices: NDArray[np.float64],
+        faces: NDArray[np.int32],
+        shift: tuple[int, ...],
+    ) -> None:
+        self._surface = surface
+        reach = np.ceil(np.abs(vertices).max(0)).astype(np.int64) + 2
+        self._shape = 2 * reach + 1
+        self._origin = 0.5 * np.array(shift) - reach
+        xs, ys = (self._origin[axis] + np.arange(self._shape[axis]) for axis in range(2))
+        line, bottom, top = cross_columns(vertices, faces, xs, ys).intervals()
+        first = np.ceil(bottom - self._origin[2]).astype(np.int64)
+        count = np.maximum(np.floor(top - self._origin[2]).astype(np.int64) - first + 1, 0)
+        step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        inside = np.repeat(line * self._shape[2] + first, count) + step
+        # Those with a neighbor outside are close to the surface; others need no distance.
+        rim = np.zeros(len(inside), bool)
+        for offset in _NEIGHBORS:
+            rim |= ~_contains(inside, inside + self._step(offset))
+        depth = self._distance(inside[rim])
+        on_surface = np.zeros(len(inside), bool)
+        on_surface[rim] = depth < _TOUCHING
+        self._inside = inside[~on_surface]
+        self._rim = inside[rim][depth >= _TOUCHING]
+        self._depth = depth[depth >= _TOUCHING]
 
+    @property
+    def count(self) -> int:
+        """How many points lie inside."""
+        return len(self._inside)
 
-def _depths(mesh: wp.Mesh, lattice: NDArray[np.float64], farthest: float) -> NDArray[np.float32]:
-    parts = []
-    for start in range(0, len(lattice), _CHUNK):
-        part = lattice[start : start + _CHUNK]
+    def _step(self, offset: NDArray[np.int64]) -> int:
+        """By how much a cell's number grows along an offset."""
+        return int((offset[0] * self._shape[1] + offset[1]) * self._shape[2] + offset[2])
+
+    def _place(self, cell: NDArray[np.int64]) -> NDArray[np.float64]:
+        return np.stack(np.unravel_index(cell, self._shape), 1) + self._origin
+
+    def _distance(self, cell: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Of cells from the surface; equal ones are equal whatever the last bits say."""
         with recording_lock:
-            depth = wp.empty(len(part), dtype=float, device="cpu")
+            point = wp.array(self._place(cell).astype(np.float32), dtype=wp.vec3, device="cpu")
+            distance = wp.empty(len(cell), dtype=float, device="cpu")
             wp.launch(
-                measure_depth,
-                dim=len(part),
-                inputs=[mesh.id, wp.array(part, dtype=wp.vec3, device="cpu"), farthest, depth],
+                measure_distance,
+                dim=len(cell),
+                inputs=[self._surface.id, point, 3.0, distance],
                 device="cpu",
             )
-        parts.append(depth.numpy())
-    return np.concatenate(parts)
+        return np.round(distance.numpy().astype(np.float64), 4)
+
+    def points(self, target: int) -> NDArray[np.float64]:
+        """So many points, at the surface the deepest or else the nearest, shape [N, 3]."""
+        cells = self._inside
+        surplus = self.count - target
+        if surplus > 0:
+            shallow = self._rim[np.argsort(self._depth, kind="stable")[:surplus]]
+            cells = np.setdiff1d(cells, shallow, assume_unique=True)
+        while len(cells) < target:
+            around = np.unique(
+                np.concatenate([cells + self._step(offset) for offset in _NEIGHBORS])
+            )
+            around = around[~_contains(cells, around)]
+            near = np.argsort(self._distance(around), kind="stable")[: target - len(cells)]
+            cells = np.union1d(cells, around[near])
+        return self._place(cells)
+
+
+def _contains(ordered: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the wanted numbers are among those in order."""
+    if not len(ordered):
+        return np.zeros(len(wanted), bool)
+    place = np.minimum(np.searchsorted(ordered, wanted), len(ordered) - 1)
+    return np.asarray(ordered[place] == wanted)
+
+
+def _rounded(millimeters: float) -> float:
+    """Rounded down to two digits."""
+    step = 10.0 ** (np.floor(np.log10(millimeters)) - 1)
+    return float(np.floor(millimeters / step + 1e-6) * step)

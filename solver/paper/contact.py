@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import DEPENETRATION_SPEED, ContactPass
 from ..core.particles import Particles
 from ..hand.ghosts import GhostMesh, rasterize_ghosts

@@ -5,10 +5,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactPass
 from ..core.particles import Particles
 from ..core.regions import Regions
+from ..scene.scene import Scene
 from ..scene.settings import Settings
 from .bonds import BondConstraints
 from .contact import PaperContacts
@@ -72,12 +73,15 @@ class PaperModel:
     Particles at one point stay together: a kernel has no gradient there.
 
     Args:
+        scene: Not used: all that counts of its materials is with the particles.
         particles: What the clay consists of.
         contacts: What it touches.
         settings: How finely to work, and which of the constraints to leave out.
     """
 
-    def __init__(self, particles: Particles, contacts: Contacts, settings: Settings) -> None:
+    def __init__(
+        self, scene: Scene, particles: Particles, contacts: Contacts, settings: Settings
+    ) -> None:
         self.particles = particles
         self.settings = settings
         count, spacing, device = particles.count, particles.spacing, particles.device

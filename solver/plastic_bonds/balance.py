@@ -1,43 +1,45 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Whether clay that sleeps is still held.
 
-To its awake neighbours sleeping clay is a wall. A wall holds whatever hangs on it, even where what
-bore it has gone. So each piece of sleeping clay is asked, step by step, whether its weight, what it
-lay on colliders with when it fell asleep, and what its awake neighbours do to it still add up to
-about nothing. What lies on something may be pressed against that.
+To its awake neighbors, sleeping clay is a wall. A wall holds whatever hangs on it, even after its
+own support is gone. So in each step, for each piece of sleeping clay, its weight, the forces of
+colliders when it fell asleep and the forces of its awake neighbors are summed: unless they balance,
+the piece is not held. Clay that lies on something may be pressed against it, though.
 """
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactSlots
 from ..core.awake import Awake, awake_particle
 from ..core.particles import Particles
 from ..core.regions import Regions
-from .law import BREAK_LENGTH, Body, Clay, PairLaw, bond_hold, kernel_slope
+from .law_data import BREAK_LENGTH, PairLaw, ParticleLaw, SharedLaw
+from .law_functions import bond_hold, kernel_slope, pair_pull
 from .pairs.rows import COMPRESSION, PairRows
 
 BORNE = 0.2
-"""Sleeping clay bears this part of its weight sideways or upward: friction and inertia hold it."""
-LEAST_ACCELERATION = 0.1
-"""What accelerates sleeping clay by less is ignored [m/s²]."""
+"""Sleeping clay withstands this fraction of its weight sideways or upward: friction and inertia
+hold it."""
+MIN_ACCELERATION = 0.1
+"""Imbalances that would accelerate sleeping clay by less than this are ignored [m/s²]."""
 
 
 @wp.kernel(enable_backward=False)
 def sum_reactions(
     awake: Awake,
-    clay: Clay,
+    shared: SharedLaw,
     pair_laws: wp.array[PairLaw],
-    bodies: wp.array[Body],
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
     position: wp.array[wp.vec3],
     pairs: PairRows,
     region: wp.array[int],
     force: wp.array[wp.vec3],
 ) -> None:
-    """Sum what awake particles do to sleeping ones, by region of those [N]."""
+    """Sum the forces of awake particles on sleeping ones, by region of the latter [N]."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -47,13 +49,16 @@ def sum_reactions(
         if pairs.resting[j] == 1:
             offset = position[i] - position[j]
             apart = wp.length(offset)
-            pressure = bodies[own].pressure_stiffness * pairs.condition[i][COMPRESSION]
-            pressure += bodies[material[j]].pressure_stiffness * pairs.condition[j][COMPRESSION]
-            pull = -pressure * kernel_slope(clay, apart)
+            pressures = particle_laws[own].pressure_stiffness * pairs.condition[i][COMPRESSION]
+            other = particle_laws[material[j]]
+            pressures += other.pressure_stiffness * pairs.condition[j][COMPRESSION]
             rest = pairs.rest_length[slot]
+            stiffness = float(0.0)
             if rest > 0.0:
-                law = pair_laws[own * clay.material_count + material[j]]
-                pull += law.stiffness * bond_hold(clay, rest) * (apart - rest)
+                law = pair_laws[own * shared.material_count + material[j]]
+                stiffness = law.stiffness * bond_hold(shared, rest)
+            slope = kernel_slope(shared, apart)
+            pull = pair_pull(shared, 0.0, 0.0, pressures, slope, stiffness, apart - rest)
             wp.atomic_add(force, region[j], offset * (pull / wp.max(apart, 1.0e-12)))
 
 
@@ -69,7 +74,7 @@ def sum_support(
 ) -> None:
     """Sum the forces of colliders on sleeping particles [N] and their mass [kg], by region.
 
-    The slots of what sleeps hold forces in place of impulses.
+    The contact slots of sleeping particles hold forces instead of impulses.
     """
     i = wp.tid()
     if pairs.resting[i] == 1:
@@ -80,7 +85,7 @@ def sum_support(
 
 
 class Balance:
-    """Finds sleeping clay that nothing holds any more.
+    """Finds sleeping clay that is no longer held.
 
     Args:
         particles: The clay.
@@ -96,21 +101,21 @@ class Balance:
     def unheld(
         self,
         regions: Regions,
-        clay: Clay,
+        shared: SharedLaw,
         pair_laws: wp.array,
-        bodies: wp.array,
+        particle_laws: wp.array,
         pairs: PairRows,
         contacts: Contacts,
     ) -> NDArray[np.bool_]:
-        """Regions that sleep and should not, shape [R].
+        """Which regions sleep but are no longer held, shape [R].
 
         Args:
-            regions: Which parts of the clay sleep.
-            clay: What all pairs share.
-            pair_laws: Of each pair of materials.
-            bodies: What particles of each material have of their own.
-            pairs: The rows of neighbours.
-            contacts: What the clay lies on.
+            regions: The regions of the clay, asleep and awake.
+            shared: What all pairs share.
+            pair_laws: The values of each pair of materials.
+            particle_laws: The values of particles of each material.
+            pairs: The rows of neighbors.
+            contacts: The contacts of the clay.
         """
         asleep, particles = regions.asleep, self.particles
         count, device = len(asleep), particles.device
@@ -118,16 +123,16 @@ class Balance:
         if not occupied.any() or asleep.all():
             return np.zeros(count, bool)
         if self._generation != regions.generation:
-            # What sleeps neither moves nor presses otherwise until then.
+            # Until regions change, sleeping clay neither moves nor presses differently.
             self._generation = regions.generation
             self._piece = self._pieces(regions, occupied)
             self._sum_support(regions, pairs, contacts)
         force = wp.zeros(count, dtype=wp.vec3, device=device)
         particles.launch(
             sum_reactions,
-            clay,
+            shared,
             pair_laws,
-            bodies,
+            particle_laws,
             particles.material,
             particles.position,
             pairs,
@@ -146,11 +151,11 @@ class Balance:
             down = gravity / strength
             into = np.maximum(net @ down, 0.0) * (support @ down < 0.0)
             net -= into[:, None] * down
-        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + LEAST_ACCELERATION)
+        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + MIN_ACCELERATION)
         return occupied & unborne[self._piece]
 
     def _pieces(self, regions: Regions, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """A number for each connected piece of sleeping clay, by region, shape [R]."""
+        """The number of the connected piece of sleeping clay, by region, shape [R]."""
         boxes, shape = regions.boxes, regions.shape
         reach = BREAK_LENGTH * self.particles.spacing
         label = np.arange(len(occupied))
@@ -192,4 +197,4 @@ _DIAGONALS = tuple(
     for z in (-1, 0, 1)
     if abs(x) + abs(y) + abs(z) > 1 and (x > 0 or y > 0)
 )
-"""With the axes, one of each two opposite ways to a neighbouring region."""
+"""With the axes, one of each pair of opposite directions to a neighboring region."""

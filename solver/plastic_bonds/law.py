@@ -6,327 +6,192 @@ Interaction with Virtual Clay*, WHC 2021 (eq. 5), with these differences: a bond
 physical stiffness instead of a rigid constraint; it yields by stress instead of by a rate of
 separation, so that slow hands can model it too.
 
-How much flows is decided by each particle: from its bonds it has a stress, and where the shear of
-that (von Mises) is more than the yield stress, the stretch of all its bonds relaxes by one share
-(radial return; Simo and Hughes, *Computational Inelasticity*, 1998, section 3.3), such that the
-yield stress is left. So the yield stress is that of shear in any direction, whatever the bonds'
-arrangement, and nothing is fitted.
+Each particle decides how much flows: its bonds give it a stress, and where the shear of that (von
+Mises) exceeds the yield stress, the stretch of all its bonds relaxes by one share (radial return;
+Simo and Hughes, *Computational Inelasticity*, 1998, section 3.3), such that the yield stress is
+left. So the yield stress is that of shear in any direction, whatever the bonds' arrangement, and
+nothing is fitted.
 
 Viscosity acts beside the bonds, between all pairs, on the rate at which they part or close: it
 takes the place of the strain-rate constraint (eqs. 3 and 4). It must not act on the flow of bonds:
-clay that flows far also breaks bonds and forms new ones, and what flows in that way would feel
-none. A network of dampers c on lines of length l that lie evenly in all directions has the shear
-viscosity Σ c l² / 30 V (the same sum as for the modulus of a network of springs), from which each
-particle's c follows.
+clay that flows far also breaks bonds and forms new ones, and material that flows in that way would
+feel none. A network of dampers c on lines of length l that lie evenly in all directions has the
+shear viscosity Σ c l² / 30 V (the same sum as for the modulus of a network of springs), and each
+particle's c follows from that.
+
+Each formula is written once, in `FORMULAS`, for numbers that are floats or lanes of floats. The
+passes for the CPU's vector units (`measures_cpu`, `forces_cpu` and `products_cpu` in `pairs`)
+include that text and apply it to eight pairs at a time; `law_functions` offers each formula as a
+Warp function of one pair to the plain kernels, which also run on graphics cards. The text expects a
+`law_data.SharedLaw` named ``shared`` in scope; ``own`` is a `law_data.ParticleLaw`. Arguments and
+units are documented at the Warp functions.
 """
 
-import numpy as np
-import warp as wp
-
-from ..scene.material import Material
-from ..scene.settings import Settings
-
-KERNEL_RADIUS = 2.0
-"""Reach of the density kernel, in spacings."""
-BOND_REACH = 1.5
-"""Pairs closer than this at the start are bonded, in spacings."""
-FORM_REACH = 1.25
-"""Free pairs closer than this become bonded, in spacings."""
-PRESS_REACH = 1.4
-"""Free pairs closer than this press on each other, in spacings, until they are as far apart as
-bonds that break: pairs that came and went at one distance would jitter."""
-SURFACE_FLOOR = 0.4
-"""Lopsidedness that is taken for chance, over that of a flat surface."""
-SURFACE_SHARE = 0.8
-"""Part of the neighbours missing at a surface that is made up for. With all of them thin necks of
-clay swell and part early; with none, kneaded clay loses a tenth of its volume."""
-BREAK_LENGTH = 1.9
-"""A bond longer than this is gone, in spacings."""
-FADE_LENGTH = 1.5
-"""A bond longer than this holds less and less, in spacings: one that broke under its full load
-would take that from the clay at once."""
-SHORTEST_LENGTH = 0.6
-"""Rest lengths never fall below this, in spacings."""
-DWELL = 2.0
-"""Substeps a free pair must stay close before it bonds: a neighbour rushing by is not caught."""
-TENSION = 1.0
-"""Force at which a bond draws out over the tension limit times d²: more than bonds carry where the
-clay shears at the same stress, so that it only bounds what all-round tension does."""
 FORGETTING = 20.0
 """Where clay flows by a share, its bonds forget this many times the share of their change of
 volume: the pressure keeps the volume, and bonds that did too would resist shear with it."""
-SOFTEST = 0.05
-"""The least secant stiffness of a flowing bond over the elastic one."""
-LEAST_SQUARES = 24.0
-"""Least sum of squared pair lengths over d² that viscosity is shared by; inside it is 25 to 30."""
+MIN_SOFTENING = 0.05
+"""Least secant stiffness of a flowing bond over the elastic one."""
+MIN_SQUARES = 24.0
+"""Least sum of squared pair lengths over d² that viscosity is shared by; inside the clay the sum is
+25 to 30. Few neighbors do not make a particle stiffer than a thread of clay is."""
 DAMPING_OF_VISCOSITY = 26.0
-"""Sum of c l² over viscosity and volume: 30 where pairs lie evenly in all directions; in clay that
-flows they lie such that they resist 1.15 times as much (measured)."""
-MOST_REACH = 64.0
-"""Viscosity acts as if it were no higher than what carries motion this far in a substep, in
-spacings: no more could be solved for."""
-SLOWEST_RATE = 0.01
-"""Strain rate below which clay that thins as it flows grows no thicker [1/s]."""
-BULK_OVER_SHEAR = 3.0
-"""Bulk modulus over shear modulus: clay hardly compresses."""
+"""Sum of c l² over viscosity and volume: 30 where pairs lie evenly in all directions. In clay that
+flows they lie so that they resist 1.15 times as much (measured)."""
+MIN_STRAIN_RATE = 0.01
+"""Clay that thins as it flows grows no thicker below this strain rate [1/s]."""
+COINCIDENT = 1e-6
+"""Particles closer than this have no direction from one to the other, in spacings."""
+MIN_LENGTHS = 1e-12
+"""Keeps the dilation of a particle without bonds finite: least sum of squared rest lengths, over
+d²."""
 
+_CONSTANTS = "".join(
+    f"    const float {name} = {value!r}f;\n"
+    for name, value in {
+        "FORGETTING": FORGETTING,
+        "MIN_SOFTENING": MIN_SOFTENING,
+        "MIN_SQUARES": MIN_SQUARES,
+        "DAMPING_OF_VISCOSITY": DAMPING_OF_VISCOSITY,
+        "MIN_STRAIN_RATE": MIN_STRAIN_RATE,
+        "COINCIDENT": COINCIDENT,
+        "MIN_LENGTHS": MIN_LENGTHS,
+    }.items()
+)
 
-@wp.struct
-class PairLaw:
-    """How particles of two given materials act on each other."""
+FORMULAS = (
+    _CONSTANTS
+    + """
+    const float dt = shared.time_step, dt_squared = dt * dt, per_step = 1.f / dt;
+    const float area = shared.spacing * shared.spacing;
+    const float inverse_radius = 1.f / shared.kernel_radius;
+    const float slope_scale = 3.f * shared.inverse_rest_sum * inverse_radius;
+    const float coincident = COINCIDENT * shared.spacing;
 
-    stiffness: float
-    """Bond stiffness [N/m]."""
-    tension_stretch: float
-    """Total stretch that a bond can carry in tension [m]."""
+    // Which pairs act -----------------------------------------------------------------------------
 
+    // Whether a listed pair, at a squared distance, begins to press.
+    auto begins_to_press = [&](auto square) ALWAYS_INLINE {
+        return square < shared.press_reach * shared.press_reach;
+    };
+    // Whether a free pair is close enough to bond.
+    auto forms_bond = [&](auto apart) ALWAYS_INLINE { return apart < shared.form_reach; };
+    // Whether a free pair no longer presses.
+    auto lets_go = [&](auto apart) ALWAYS_INLINE { return apart >= shared.break_length; };
+    // Whether a bond breaks, at its present length and the rest length that it has flowed to.
+    auto bond_breaks = [&](auto apart, auto rest) ALWAYS_INLINE {
+        return most(apart, rest) > shared.break_length;
+    };
 
-@wp.struct
-class Body:
-    """What a particle of a material has of its own."""
+    // Density and pressure ------------------------------------------------------------------------
 
-    mass: float
-    """[kg]"""
-    pressure_stiffness: float
-    """Bulk modulus times particle volume [J]."""
-    shear_modulus: float
-    """[Pa]"""
-    yield_stress: float
-    """[Pa]"""
-    consistency: float
-    """Viscous stress at a strain rate of 1/s [Pa]."""
-    flow_index: float
-    """Power of the strain rate."""
+    // (1 - r/h)³: a neighbor's share of the density, before it is divided by the sum at rest.
+    auto kernel_value = [&](auto apart) ALWAYS_INLINE {
+        const auto t = most(1.f - apart * inverse_radius, 0.f);
+        return t * t * t;
+    };
+    // How fast a neighbor's share of the density over that at rest falls with distance [1/m].
+    auto kernel_slope = [&](auto apart) ALWAYS_INLINE {
+        const auto t = most(1.f - apart * inverse_radius, 0.f);
+        return t * t * slope_scale;
+    };
+    // Density over that at rest, less one, where positive; from the sum of the neighbors' kernel
+    // values and the length of the sum of these times the directions to them. A particle at a
+    // surface is credited with neighbors that it lacks: otherwise clay would be pressed together
+    // there until the others made up for them.
+    auto compression_of = [&](float neighbors, float lopsided) ALWAYS_INLINE {
+        const float beyond = lopsided * shared.inverse_rest_sum - shared.surface_floor;
+        const float surface = most(shared.surface_gain * beyond, 0.f);
+        return most((1.f + neighbors) * shared.inverse_rest_sum - 1.f + surface, 0.f);
+    };
+    // Derivative of a particle's pressure by its density, times dt² [kg m²].
+    auto pressure_tangent = [&](auto pressure_stiffness) ALWAYS_INLINE {
+        return pressure_stiffness * dt_squared;
+    };
 
+    // Stress and flow -----------------------------------------------------------------------------
 
-@wp.struct
-class Clay:
-    """What all pairs share, for one time step."""
+    // How much of its stiffness a bond has, by its rest length [m]: long ones fade.
+    auto bond_hold = [&](auto rest) ALWAYS_INLINE {
+        return least(most((shared.break_length - rest) * shared.inverse_fade, 0.f), 1.f);
+    };
+    // A bond's term in a particle's sum of stretch times length [m²], to be multiplied by the dyad
+    // of the bond's direction.
+    auto bond_stretch = [&](auto hold, auto rest, auto apart) ALWAYS_INLINE {
+        return hold * ((apart - rest) * apart);
+    };
+    // Mean linear strain of a particle's bonds, from the trace of that sum and the sum of their
+    // squared rest lengths times hold [m²].
+    auto dilation_of = [&](float trace, float lengths) ALWAYS_INLINE {
+        return trace / most(lengths, MIN_LENGTHS * area);
+    };
+    // The yield law: fraction of their stretch that a particle's bonds lose in one substep.
+    auto flow_share = [&](const auto& own, float xx, float yy, float zz, float xy, float xz,
+                          float yz) ALWAYS_INLINE {
+        const float mean = (xx + yy + zz) * (1.f / 3.f);
+        const float dx = xx - mean, dy = yy - mean, dz = zz - mean;
+        const float norm = 0.5f * (dx * dx + dy * dy + dz * dz) + xy * xy + xz * xz + yz * yz;
+        // Each bond belongs to two particles; its stiffness is the shear modulus times the spacing.
+        const float stress = 0.5f * own.shear_modulus / area * root(norm);
+        return stress > own.yield_stress ? 1.f - own.yield_stress / stress : 0.f;
+    };
+    // The rest length of a bond after one substep of flow. Its softening is the secant stiffness
+    // over the elastic one: 1 where nothing flowed; more than the secant where a bond both yields
+    // and draws out. (The consistent tangent of a yielding bond is near zero and lets Newton's
+    // method run away; the secant through the origin is safe.)
+    auto flow_bond = [&](auto tension_stretch, auto rest, auto apart, auto dilation, auto share,
+                         auto pressed, auto& softening) ALWAYS_INLINE {
+        const auto stretch = apart - rest;
+        const auto volume_stretch = dilation * rest;
+        auto flow = share * (stretch - volume_stretch);
+        const auto forgets = (volume_stretch < 0.f) | pressed;
+        flow += select(forgets, volume_stretch * least(share * FORGETTING, 1.f), 0.f);
+        const auto over = stretch - flow - tension_stretch;
+        const auto draws = over > 0.f;
+        flow += select(draws, over, 0.f);
+        softening = 1.f - share;
+        const auto drawn = 1.f - over / select(draws, stretch, 1.f);
+        softening = select(draws, least(softening, drawn), softening);
+        softening = most(softening, MIN_SOFTENING);
+        return most(rest + flow, shared.min_rest_length);
+    };
 
-    spacing: float
-    time_step: float
-    kernel_radius: float
-    inverse_rest_sum: float
-    """1 over the sum of (1 - r/h)³ at rest."""
-    surface_gain: float
-    """What lopsidedness beyond the floor adds to a particle's density."""
-    surface_floor: float
-    """Lopsidedness of particles inside, which is by chance."""
-    form_reach: float
-    press_reach: float
-    break_length: float
-    inverse_fade: float
-    """1 over the length on which bonds fade [1/m]."""
-    shortest_length: float
-    most_damping: float
-    """Of a pair, over mass [1/s]."""
-    dwell: float
-    material_count: int
-    bonds: int
+    // Forces and their tangent --------------------------------------------------------------------
 
-
-@wp.struct
-class BondFlow:
-    """A bond after one substep of flow."""
-
-    rest_length: float
-    """[m]"""
-    softening: float
-    """Secant stiffness over the elastic one: 1 where nothing flowed."""
-
-
-@wp.func
-def flow_share(clay: Clay, body: Body, stretch: wp.mat33) -> float:
-    """The yield law: part of their stretch that a particle's bonds lose in one substep.
-
-    Args:
-        clay: What all pairs share.
-        body: The particle's values.
-        stretch: Sum of stretch times length times the dyad of the direction [m²].
-    """
-    shear = stretch - wp.identity(n=3, dtype=float) * (wp.trace(stretch) / 3.0)
-    # Each bond belongs to two particles; its stiffness is the shear modulus times the spacing.
-    area = clay.spacing * clay.spacing
-    stress = 0.5 * body.shear_modulus / area * wp.sqrt(0.5 * wp.ddot(shear, shear))
-    share = float(0.0)
-    if stress > body.yield_stress:
-        share = 1.0 - body.yield_stress / stress
-    return share
-
-
-@wp.func
-def pair_damping(clay: Clay, body: Body, squares: float, parting: float, rates: float) -> float:
-    """A particle's damping of its pairs [N s/m], from its viscosity at the present strain rate.
-
-    Args:
-        clay: What all pairs share.
-        body: The particle's values.
-        squares: Sum of the pairs' squared lengths [m²].
-        parting: Sum of length times speed of parting [m²/s].
-        rates: Sum of the squared speeds of parting [m²/s²].
-    """
-    # Few neighbours do not make a particle stiffer than a thread of clay is.
-    lengths = wp.max(squares, LEAST_SQUARES * clay.spacing * clay.spacing)
-    viscosity = body.consistency
-    if body.flow_index != 1.0:
-        # Pairs of all directions part at rates whose mean square is 2/15 of D : D.
-        mean = parting / lengths
-        rate = wp.sqrt(wp.max(15.0 * (rates / lengths - mean * mean), 0.0))
-        viscosity *= wp.pow(wp.max(rate, SLOWEST_RATE), body.flow_index - 1.0)
-    volume = clay.spacing * clay.spacing * clay.spacing
-    damping = DAMPING_OF_VISCOSITY * volume * viscosity / lengths
-    return wp.min(damping, body.mass * clay.most_damping)
-
-
-@wp.func
-def bond_hold(clay: Clay, rest_length: float) -> float:
-    """How much of its stiffness a bond has, by its rest length [m]."""
-    return wp.clamp((clay.break_length - rest_length) * clay.inverse_fade, 0.0, 1.0)
-
-
-@wp.func
-def flow_bond(
-    clay: Clay,
-    law: PairLaw,
-    rest_length: float,
-    distance: float,
-    dilation: float,
-    share: float,
-    pressed: bool,
-) -> BondFlow:
-    """What a bond's rest length becomes in one substep.
-
-    Args:
-        clay: What all pairs share.
-        law: The pair's values.
-        rest_length: Rest length before [m].
-        distance: Present distance [m].
-        dilation: Mean linear strain of both ends' bonds: a change of volume, which does not yield.
-        share: Part of the stretch that flows, mean of both ends.
-        pressed: Whether one of the ends is under pressure.
-    """
-    stretch = distance - rest_length
-    volume_stretch = dilation * rest_length
-    flow = share * (stretch - volume_stretch)
-    if volume_stretch < 0.0 or pressed:
-        flow += volume_stretch * wp.min(FORGETTING * share, 1.0)
-    softening = 1.0 - share
-    overstretch = stretch - flow - law.tension_stretch
-    if overstretch > 0.0:
-        flow += overstretch
-        softening = wp.min(softening, 1.0 - overstretch / stretch)
-    bond = BondFlow()
-    bond.rest_length = wp.max(rest_length + flow, clay.shortest_length)
-    # The consistent tangent of a yielding bond is near zero and lets Newton's method run away; the
-    # secant through the origin is safe.
-    bond.softening = wp.max(softening, SOFTEST)
-    return bond
-
-
-@wp.func
-def kernel_value(clay: Clay, distance: float) -> float:
-    """A neighbour's share of the density over that at rest."""
-    t = wp.max(1.0 - distance / clay.kernel_radius, 0.0)
-    return t * t * t * clay.inverse_rest_sum
-
-
-@wp.func
-def kernel_slope(clay: Clay, distance: float) -> float:
-    """How fast that share falls with distance [1/m], positive."""
-    t = wp.max(1.0 - distance / clay.kernel_radius, 0.0)
-    return 3.0 * t * t * clay.inverse_rest_sum / clay.kernel_radius
-
-
-@wp.func
-def surface_density(clay: Clay, lopsided: wp.vec3) -> float:
-    """Density that a particle at a surface lacks for want of neighbours.
-
-    Clay would be pressed together there until the others made up for them.
-
-    Args:
-        clay: What all pairs share.
-        lopsided: Sum of the neighbours' shares of the density times their directions.
-    """
-    return wp.max(clay.surface_gain * (wp.length(lopsided) - clay.surface_floor), 0.0)
-
-
-def _lattice() -> tuple[np.ndarray, np.ndarray]:
-    """A particle's neighbours on a cubic lattice of unit spacing, and (1 - r/h)³ of each."""
-    axis = np.arange(-2, 3)
-    lattice = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
-    distance = np.linalg.norm(lattice, axis=1)
-    return lattice, np.maximum(1.0 - distance / KERNEL_RADIUS, 0.0) ** 3
-
-
-def rest_kernel_sum() -> float:
-    """Sum of (1 - r/h)³ over a cubic lattice of unit spacing, the particle itself included."""
-    return float(_lattice()[1].sum())
-
-
-def surface_of_lattice() -> tuple[float, float]:
-    """Of a lattice's flat surface: the density missing there, and its lopsidedness."""
-    lattice, value = _lattice()
-    below = lattice[:, 2] <= 0
-    height = lattice[:, 2] / np.maximum(np.linalg.norm(lattice, axis=1), 1.0)
-    lopsided = -(value * height)[below].sum()
-    return float(value[~below].sum() / value.sum()), float(lopsided / value.sum())
-
-
-def make_bodies(materials: list[Material], settings: Settings, spacing: float) -> list[Body]:
-    """What particles of each material have of their own, at a spacing [m]."""
-    bodies = []
-    for material in materials:
-        body = Body()
-        body.mass = material.density * spacing**3
-        body.pressure_stiffness = BULK_OVER_SHEAR * material.shear_modulus * spacing**3
-        body.shear_modulus = material.shear_modulus
-        body.yield_stress = material.yield_stress
-        body.consistency = material.viscosity if settings.viscosity else 0.0
-        body.flow_index = material.flow_index
-        bodies.append(body)
-    return bodies
-
-
-def make_pair_laws(materials: list[Material], spacing: float) -> list[PairLaw]:
-    """The law of every ordered pair of materials, row by row.
-
-    The weaker of two materials decides how much tension their bond bears; stiffness is the
-    harmonic mean, as of springs in series.
-    """
-    laws = []
-    for one in materials:
-        for two in materials:
-            law = PairLaw()
-            shear = 2.0 / (1.0 / one.shear_modulus + 1.0 / two.shear_modulus)
-            law.stiffness = shear * spacing
-            tension = min(one.tension_limit, two.tension_limit)
-            law.tension_stretch = TENSION * tension * spacing**2 / law.stiffness
-            laws.append(law)
-    return laws
-
-
-def make_clay(
-    settings: Settings,
-    spacing: float,
-    material_count: int,
-    time_step: float,
-) -> Clay:
-    """What all pairs share, for substeps of ``time_step`` [s]."""
-    clay = Clay()
-    clay.spacing = spacing
-    clay.time_step = time_step
-    clay.kernel_radius = KERNEL_RADIUS * spacing
-    clay.inverse_rest_sum = 1.0 / rest_kernel_sum()
-    missing, lopsided = surface_of_lattice()
-    clay.surface_floor = SURFACE_FLOOR * lopsided
-    clay.surface_gain = SURFACE_SHARE * missing / (lopsided - clay.surface_floor)
-    clay.form_reach = FORM_REACH * spacing
-    clay.press_reach = PRESS_REACH * spacing
-    clay.break_length = BREAK_LENGTH * spacing
-    clay.inverse_fade = 1.0 / ((BREAK_LENGTH - FADE_LENGTH) * spacing)
-    clay.shortest_length = SHORTEST_LENGTH * spacing
-    clay.most_damping = MOST_REACH**2 / time_step
-    clay.dwell = DWELL
-    clay.material_count = material_count
-    clay.bonds = int(settings.elastoplasticity)
-    return clay
+    // A particle's damping of its pairs [N s/m], from its viscosity at the present strain rate: the
+    // sums over its pairs of squared length [m²], of length times speed of parting [m²/s] and of
+    // squared speed of parting [m²/s²].
+    auto pair_damping = [&](const auto& own, float squares, float parting, float rates)
+        ALWAYS_INLINE {
+        const float lengths = most(squares, MIN_SQUARES * area);
+        float viscosity = own.consistency;
+        if (own.flow_index != 1.f) {
+            // Pairs of all directions part at rates whose mean square is 2/15 of D : D.
+            const float mean = parting / lengths;
+            const float rate = 15.f * (rates / lengths - mean * mean);
+            viscosity *= power(most(rate, MIN_STRAIN_RATE * MIN_STRAIN_RATE),
+                0.5f * (own.flow_index - 1.f));
+        }
+        const float damping = DAMPING_OF_VISCOSITY * area * shared.spacing * viscosity / lengths;
+        return least(damping, own.mass * shared.max_damping);
+    };
+    // Force that pulls the ends of a pair together [N]: from viscosity, by how far they part in the
+    // substep; from the pressures of both; and from the stretch of the bond.
+    auto pair_pull = [&](auto damping, auto parted, auto pressures, auto slope, auto stiffness,
+                         auto stretch) ALWAYS_INLINE {
+        auto pull = damping * parted * per_step;
+        pull -= pressures * slope;
+        pull += stiffness * stretch;
+        return pull;
+    };
+    // Derivative of bond and viscosity, times dt² [kg].
+    auto pair_tangent = [&](auto stiffness, auto softening, auto damping) ALWAYS_INLINE {
+        return damping * dt + stiffness * softening * dt_squared;
+    };
+    // Response of the tangent to a motion of the ends [kg m/s], from the speed at which the motion
+    // brings them together [m/s] and how it changes both pressures.
+    auto tangent_pull = [&](auto tangent, auto closing, auto slope, auto pressures) ALWAYS_INLINE {
+        return tangent * closing + slope * pressures;
+    };
+"""
+)

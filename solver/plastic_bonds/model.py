@@ -7,23 +7,25 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..contact.contacts import Contacts
+from ..colliders.contacts import Contacts
 from ..contact.law import ContactPass
 from ..core.particles import Particles
 from ..core.recording import Recordings
 from ..core.regions import Regions
 from ..scene.material import Material
+from ..scene.scene import Scene
 from ..scene.settings import BASE_STEP, Settings
 from .balance import Balance
-from .law import (
+from .cutting import cut_all_bonds
+from .law_data import (
     BOND_REACH,
     PRESS_REACH,
-    Body,
-    Clay,
     PairLaw,
-    make_bodies,
-    make_clay,
+    ParticleLaw,
+    SharedLaw,
     make_pair_laws,
+    make_particle_laws,
+    make_shared_law,
 )
 from .pairs.neighbors import Neighbors
 from .pairs.pairs import Pairs
@@ -33,13 +35,13 @@ from .solve.conjugate_gradients import ConjugateGradients
 from .solve.spin import Spin
 
 SKIN = 0.6
-"""Extra reach of neighbour lists, in spacings."""
-MOST_CLAYS = 64
-"""Lengths of substep for which what pairs share is kept."""
+"""Extra reach of neighbor lists, in spacings."""
+MAX_KEPT_LAWS = 64
+"""Lengths of substep for which the shared law is kept."""
 ITERATIONS_PER_REACH = 0.55
-"""Iterations for each spacing that motion is carried in a substep, in its last Newton step."""
-FEWEST_ITERATIONS = 6
-MOST_ITERATIONS = 40
+"""Iterations of the last Newton step for each spacing that motion is carried in a substep."""
+MIN_ITERATIONS = 6
+MAX_ITERATIONS = 40
 
 
 @wp.kernel(enable_backward=False)
@@ -48,54 +50,60 @@ def stand_still(
     velocity: wp.array[wp.vec3],
     direction: wp.array[wp.vec4],
 ) -> None:
-    """Let particles do nothing in any pass that awake neighbours take part in."""
+    """Stop particles, so that they do nothing in the passes of their awake neighbors."""
     i = resting[wp.tid()]
     velocity[i] = wp.vec3()
     direction[i] = wp.vec4()
 
 
 class PlasticBonds:
-    """Bonds between neighbours that stretch, yield and flow, and a pressure that keeps the volume.
+    """Bonds between neighbors that stretch, yield and flow, and a pressure that keeps the volume.
 
     In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
     each substep solves for all velocities at once, by two Newton steps of conjugate gradients (one
-    does not do: friction and yield follow from what the first finds; more change little)
+    is not enough: friction and yield follow from what the first finds; more change little)
     (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
     doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
     whole-body motion are exact.
 
     Args:
-        particles: What the clay consists of.
-        contacts: What it touches.
+        scene: What the clay is made of.
+        particles: The clay.
+        contacts: Its contacts with colliders.
         settings: How finely to work.
     """
 
-    def __init__(self, particles: Particles, contacts: Contacts, settings: Settings) -> None:
+    def __init__(
+        self, scene: Scene, particles: Particles, contacts: Contacts, settings: Settings
+    ) -> None:
         self.particles = particles
         self.contacts = contacts
         self.settings = settings
         count, spacing, device = particles.count, particles.spacing, particles.device
         self.device = device
         self.diagonal = wp.zeros(count, dtype=wp.mat33, device=device)
-        masses = np.array([m.density * spacing**3 for m in particles.materials])
+        self._materials, _ = scene.materials()
+        masses = np.array([m.density * spacing**3 for m in self._materials])
         own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
         self.own_block = wp.array(own, dtype=wp.mat33, device=device)
         """Mass and contacts of each particle [kg]."""
-        self.bodies = wp.array(
-            make_bodies(particles.materials, settings, spacing), dtype=Body, device=device
+        self.particle_laws = wp.array(
+            make_particle_laws(self._materials, settings, spacing),
+            dtype=ParticleLaw,
+            device=device,
         )
         self.pairs = Pairs(particles)
-        # Bonds stay listed however long they are; only pairs that come close must be found.
+        # Bonds stay listed however long they are; the search need only find pairs that come close.
         self.neighbors = Neighbors(particles, self.pairs, PRESS_REACH * spacing, SKIN * spacing)
-        # One more than needed: a substep may be longer than it should by rounding.
-        most_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
-        self.gradients = ConjugateGradients(particles, most_iterations)
+        # One more than needed: rounding may make a substep slightly too long.
+        max_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
+        self.gradients = ConjugateGradients(particles, max_iterations)
         self.coarse = CoarseSpace(particles)
         self._balance = Balance(particles)
         self.spin = Spin(particles, self.coarse)
         self._recordings = Recordings(particles)
-        self._clays: dict[float, Clay] = {}
-        laws = make_pair_laws(particles.materials, spacing)
+        self._shared_laws: dict[float, SharedLaw] = {}
+        laws = make_pair_laws(self._materials, spacing)
         self.pair_laws = wp.array(laws, dtype=PairLaw, device=device)
         self._prepare_law(BASE_STEP / settings.substeps)
         if count:
@@ -106,7 +114,7 @@ class PlasticBonds:
     can_sleep = True
 
     def rest(self, resting: NDArray[np.int64], time_step: float) -> None:
-        """Bring particles to rest that fall asleep: to the others they are a wall."""
+        """Stop particles that fall asleep: to the others they are a wall."""
         index = wp.array(resting, dtype=int, device=self.device)
         self.contacts.rest(index, time_step)
         inputs = [
@@ -118,24 +126,29 @@ class PlasticBonds:
         self.coarse.release(resting)
 
     def unheld(self, regions: Regions) -> NDArray[np.bool_]:
-        """Which regions sleep and are held by nothing any more, shape [R]."""
+        """Which regions sleep but are no longer held, shape [R]."""
         return self._balance.unheld(
-            regions, self.clay, self.pair_laws, self.bodies, self.pairs.rows, self.contacts
+            regions,
+            self.shared_law,
+            self.pair_laws,
+            self.particle_laws,
+            self.pairs.rows,
+            self.contacts,
         )
 
     def wake(self, woken: NDArray[np.int64]) -> None:
-        """Take up particles that are about to wake; they still count as resting."""
+        """Prepare particles that are about to wake; they still count as resting."""
         index = wp.array(woken, dtype=int, device=self.device)
         self.contacts.wake(index)
         self.neighbors.match(index)
 
     def woken(self) -> None:
-        """Find their neighbours, and lay the coarse cells anew."""
+        """Find the neighbors of particles that have woken, and lay new coarse cells."""
         self.neighbors.rebuild()
         self.coarse.release(np.zeros(0, int))
 
     def begin_step(self) -> None:
-        """Lay the coarse cells over the clay, and see how they turn."""
+        """Lay the coarse cells over the clay, and measure how they turn."""
         self.coarse.place_cells(self.neighbors.rebuild_count)
         self.spin.measure()
 
@@ -144,7 +157,7 @@ class PlasticBonds:
         self.neighbors.rebuild_if_moved()
         self._prepare_law(substep.time_step)
         turns = self.spin.prepare(substep.time_step)
-        # Generations, not addresses: a new array may lie where an old one was.
+        # Generations, not addresses: a new array may have the address of an old one.
         key = (
             substep.time_step,
             substep.time_step_before,
@@ -160,65 +173,67 @@ class PlasticBonds:
     def _iterations(self, time_step: float) -> tuple[int, int]:
         """Iterations in each Newton step, for substeps of ``time_step`` [s].
 
-        They grow with how far a shear wave runs in that time, and how far viscosity carries motion;
-        beyond the size of a coarse cell, the coarse space does. Shorter substeps need no more. The
-        first step only finds where clay yields and what slides: a third as many do (measured).
+        They grow with how far shear waves and viscosity carry motion in that time; beyond the size
+        of a coarse cell, the coarse space carries it. Shorter substeps need no more. The first step
+        only finds where clay yields and slides: a third as many iterations suffice (measured).
         """
         last = self.settings.iterations
         if last is None:
-            farthest = max((_reach(m, time_step) for m in self.particles.materials), default=0.0)
+            farthest = max((_reach(m, time_step) for m in self._materials), default=0.0)
             last = round(ITERATIONS_PER_REACH * farthest / self.particles.spacing)
-            last = min(max(last, FEWEST_ITERATIONS), MOST_ITERATIONS)
+            last = min(max(last, MIN_ITERATIONS), MAX_ITERATIONS)
         return -(-last // 3), last
 
     def _prepare_law(self, time_step: float) -> None:
-        """Take up what all pairs share in a substep; recordings hold on to those made before."""
-        if time_step not in self._clays:
-            if len(self._clays) >= MOST_CLAYS:
-                self._clays.clear()
+        """Choose the shared law of a substep; recordings refer to those made before."""
+        if time_step not in self._shared_laws:
+            if len(self._shared_laws) >= MAX_KEPT_LAWS:
+                self._shared_laws.clear()
                 self._recordings.clear()
             particles = self.particles
-            self._clays[time_step] = make_clay(
-                self.settings, particles.spacing, len(particles.materials), time_step
+            self._shared_laws[time_step] = make_shared_law(
+                self.settings, particles.spacing, len(self._materials), time_step
             )
-        self.clay = self._clays[time_step]
+        self.shared_law = self._shared_laws[time_step]
 
     def _open(self, substep: ContactPass, turns: bool) -> None:
-        """Everything up to the coarse matrix; ``turns`` says whether anything spins."""
+        """Do everything up to the coarse matrix; ``turns`` says whether anything spins."""
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
-        self.contacts.cut(self.pairs.rows)
+        cut_all_bonds(self.contacts, self.pairs.rows)
         if turns:
             self.spin.turn()
-        self.pairs.gather(self.clay, self.bodies)
+        self.pairs.gather(self.shared_law, self.particle_laws)
         self._linearize(substep)
         self.coarse.assemble(self.own_block, self.pairs)
 
     def _close(self, substep: ContactPass) -> None:
-        """Newton's method, and what follows from the velocities it finds."""
+        """Solve by Newton's method, and apply the velocities it finds."""
         for newton, iterations in enumerate(self._iterations(substep.time_step)):
             if newton > 0:
-                self.pairs.measure(self.clay, self.bodies)
+                self.pairs.measure(self.shared_law, self.particle_laws)
                 self._linearize(substep)
             self.gradients.solve(
                 iterations,
-                self.clay,
-                self.bodies,
+                self.shared_law,
+                self.particle_laws,
                 self.pairs,
                 self.diagonal,
                 self.own_block,
                 self.coarse,
             )
         self.contacts.settle(substep, self.gradients.change)
-        self.pairs.flow(self.clay, self.pair_laws)
+        self.pairs.flow(self.shared_law, self.pair_laws)
         self.particles.move(substep.time_step)
         self.neighbors.measure()
 
     def _linearize(self, substep: ContactPass) -> None:
-        """Residual and tangent of pairs and contacts at the present velocities."""
+        """Find residual and tangent of pairs and contacts at the present velocities."""
         residual = self.gradients.residual
-        self.pairs.sum_forces(self.clay, self.pair_laws, self.bodies, residual, self.diagonal)
+        self.pairs.sum_forces(
+            self.shared_law, self.pair_laws, self.particle_laws, residual, self.diagonal
+        )
         self.contacts.press(substep, self.gradients.change, residual, self.diagonal, self.own_block)
 
     def compression(self) -> NDArray[np.float32]:
@@ -227,15 +242,15 @@ class PlasticBonds:
 
     @property
     def overflow(self) -> int:
-        """Neighbours that found no room, since the beginning."""
+        """Neighbors that found no room, since the start."""
         return self.neighbors.overflow
 
     def passes(self) -> list[str]:
-        """What a substep consists of."""
-        return ["neighbour lists", "bonds" if self.settings.elastoplasticity else "pressure"]
+        """The passes of a substep."""
+        return ["neighbor lists", "bonds" if self.settings.elastoplasticity else "pressure"]
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Bonds, and what they have been through."""
+        """Bonds and their history."""
         return {
             "condition": self.pairs.rows.condition.numpy().copy(),
             **self.neighbors.snapshot(),
@@ -243,11 +258,11 @@ class PlasticBonds:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore the state that `snapshot` returned."""
         self.pairs.rows.condition.assign(state["condition"])
         self.neighbors.restore(state)
         self.coarse.restore(state)
-        # What sleeps must do nothing in any pass.
+        # Sleeping particles must do nothing in any pass.
         self.gradients.data.direction.zero_()
 
 

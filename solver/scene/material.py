@@ -5,11 +5,67 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "materials"
 """Where the materials are that ship with the project."""
+
+
+@dataclass(frozen=True)
+class MaterialField:
+    """One value of a `Material`: all that interfaces, files and checks need to know of it."""
+
+    name: str
+    """Of the attribute, and of the key in a file."""
+    label: str
+    """For people, without its unit."""
+    unit: str
+    """SI unit; empty for a pure number."""
+    description: str
+    """One line for people."""
+    default: float | None
+    """None for a value that follows another where it is not given."""
+    minimum: float
+    """Least value that interfaces offer and files of materials may hold."""
+    soft_maximum: float
+    """Where sliders end; larger values can be typed."""
+    positive: bool
+    """Whether zero is no possible value."""
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether it may be left out."""
+        return self.default is None
+
+    @property
+    def label_with_unit(self) -> str:
+        """For people, such as ``Viscosity (Pa·s)``."""
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+def _value(
+    default: float | None,
+    label: str,
+    unit: str,
+    description: str,
+    *,
+    minimum: float = 0.0,
+    soft_maximum: float,
+    positive: bool = False,
+) -> Any:
+    """A field of `Material` with what `MATERIAL_FIELDS` says of it."""
+    about = {
+        "default": default,
+        "label": label,
+        "unit": unit,
+        "description": description,
+        "minimum": minimum,
+        "soft_maximum": soft_maximum,
+        "positive": positive,
+    }
+    return field(default=default, metadata=about)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,35 +78,76 @@ class Material:
         ValueError: A value is not finite or lies outside its range; the message names it.
     """
 
-    density: float = 1700.0
+    density: float = _value(
+        1700.0,
+        "Density",
+        "kg/m³",
+        "Mass of a cubic meter at rest",
+        minimum=1.0,
+        soft_maximum=1e4,
+        positive=True,
+    )
     """Mass density at rest [kg/m³]."""
-    yield_stress: float = 5e3
+    yield_stress: float = _value(
+        5e3, "Yield Stress", "Pa", "Shear stress at which the clay starts to flow", soft_maximum=1e5
+    )
     """Shear stress at which the clay starts to flow [Pa] (uniaxial: √3 times as much)."""
-    viscosity: float = 200.0
+    viscosity: float = _value(
+        200.0,
+        "Viscosity",
+        "Pa·s",
+        "Resistance to flow beyond the yield stress; its consistency if the flow index is not 1",
+        soft_maximum=5e3,
+    )
     """Resistance to flow beyond the yield stress [Pa·s], or with a flow index n its consistency
     [Pa·sⁿ]: the shear stress of flowing clay is τ_y + K γ̇ⁿ (Herschel and Bulkley 1926)."""
-    flow_index: float = 1.0
+    flow_index: float = _value(
+        1.0,
+        "Flow Index",
+        "",
+        "Power of the strain rate: 1 for a Bingham material, below 1 where flow thins it",
+        minimum=0.1,
+        soft_maximum=1.0,
+        positive=True,
+    )
     """Power n of the strain rate: 1 for a Bingham material, below 1 where flow thins it."""
-    shear_modulus: float = 2.5e5
+    shear_modulus: float = _value(
+        2.5e5,
+        "Shear Modulus",
+        "Pa",
+        "Stiffness below the yield stress",
+        minimum=1.0,
+        soft_maximum=1e6,
+        positive=True,
+    )
     """Elastic shear modulus below the yield stress [Pa]. Real clay has 50 to 300 times its yield
     stress; a dent of mean pressure 6 τ_y springs back by some 3 τ_y / G of the tool's radius."""
-    friction: float = 0.5
+    friction: float = _value(
+        0.5,
+        "Friction",
+        "",
+        "Coulomb friction coefficient; a contact takes the geometric mean of both",
+        soft_maximum=1.0,
+    )
     """Coulomb friction coefficient; a contact takes the geometric mean of clay and collider."""
-    cohesion: float | None = None
+    cohesion: float | None = _value(
+        None,
+        "Cohesion",
+        "Pa",
+        "Tension at which the clay draws out and parts; off, as much as the yield stress",
+        soft_maximum=1e5,
+    )
     """Tension [Pa] at which bonds give way and draw out; the yield stress where not given,
     0 for a material that falls apart like sand."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is None:
+        for each in MATERIAL_FIELDS:
+            value = getattr(self, each.name)
+            if value is None and each.is_optional:
                 continue
-            lowest_allowed = field.name in ("viscosity", "friction", "cohesion", "yield_stress")
-            if not math.isfinite(value) or value < 0 or (value == 0 and not lowest_allowed):
-                bound = "at least 0" if lowest_allowed else "greater than 0"
-                raise ValueError(
-                    f"Material.{field.name} is {value!r}; it must be a number {bound}."
-                )
+            if not math.isfinite(value) or value < 0 or (value == 0 and each.positive):
+                bound = "greater than 0" if each.positive else "at least 0"
+                raise ValueError(f"Material.{each.name} is {value!r}; it must be a number {bound}.")
 
     @property
     def tension_limit(self) -> float:
@@ -88,7 +185,7 @@ class Material:
             raise ValueError(f"{path.name} is not a valid TOML file: {error}.") from error
         if not isinstance(table, dict):
             raise ValueError(f"{path.name} has no [material] table.")
-        known = {field.name for field in fields(cls)}
+        known = {each.name for each in MATERIAL_FIELDS}
         values: dict[str, float] = {}
         for key, value in table.items():
             if key not in known:
@@ -99,3 +196,13 @@ class Material:
                 raise ValueError(f"{path.name}: {key} is {value!r}; it must be a number.")
             values[key] = float(value)
         return cls(**values)
+
+    def to_toml(self) -> str:
+        """The ``[material]`` table of a file that `from_toml` reads."""
+        values = [(each.name, getattr(self, each.name)) for each in MATERIAL_FIELDS]
+        lines = [f"{name} = {float(value)!r}\n" for name, value in values if value is not None]
+        return "".join(["[material]\n", *lines])
+
+
+MATERIAL_FIELDS = tuple(MaterialField(name=each.name, **each.metadata) for each in fields(Material))
+"""The values of a material, in the order in which people see them."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..geometry.closed_mesh import check_closed_mesh, mesh_volume
+from ..geometry.closed_mesh import closed_mesh
 from ..geometry.fill import fill_mesh
 from ..hand.rig import HandRig
 from .hand import POISSON_RATIO, YOUNG_MODULUS, Hand
@@ -299,9 +299,10 @@ class Scene:
         """
         points = np.asarray(vertices, np.float64)
         triangles = np.asarray(faces, np.int32)
-        check_closed_mesh(points, triangles, name="The collider")
-        if mesh_volume(points, triangles) < 0.0:
-            triangles = triangles[:, ::-1]
+        # Its vertices stay as they are given, so that all of them can be moved.
+        closed = closed_mesh(points, triangles, name="The collider")
+        triangles = triangles[closed.sources]
+        triangles[closed.turned] = triangles[closed.turned][:, ::-1]
         collider = MeshCollider(
             points.copy(),
             np.ascontiguousarray(triangles),

@@ -20,7 +20,7 @@ def test_there_are_kernels():
     assert {
         "contact.law",
         "plastic_bonds.pairs.neighbors",
-        "plastic_bonds.pairs.rows",
+        "plastic_bonds.pairs.forces",
         "core.particles",
     } <= set(WITH_KERNELS)
 

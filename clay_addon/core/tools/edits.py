@@ -80,7 +80,7 @@ def apply_edit(edit: Edit, positions: ArrayLike, colors: ArrayLike, spacing: flo
     paints = np.asarray(colors, np.float32)
     if points.ndim != 2 or points.shape[1] != 3 or paints.shape != (len(points), 4):
         raise ValueError(
-            f"Positions have shape {points.shape} and colours {paints.shape}; expected (N, 3) "
+            f"Positions have shape {points.shape} and colors {paints.shape}; expected (N, 3) "
             "and (N, 4)."
         )
     if not (np.isfinite(spacing) and spacing > 0.0):

@@ -8,8 +8,9 @@ from collections.abc import Hashable
 import bpy
 
 from ...model.clay_scene import solver_settings
+from ...model.material_properties import property_names
 
-_MATERIAL = ("density", "yield_stress", "viscosity", "shear_modulus", "friction", "spacing")
+_CLAY_VALUES = (*property_names(), "spacing")
 
 
 def structure(scene: bpy.types.Scene) -> Hashable:
@@ -28,7 +29,7 @@ def structure(scene: bpy.types.Scene) -> Hashable:
         if role == "CLAY" and item.type == "POINTCLOUD":
             parts += [item.data.session_uid, len(item.data.points)]
             parts += [tuple(row) for row in item.matrix_world]
-            parts += [getattr(properties, name) for name in _MATERIAL]
+            parts += [getattr(properties, name) for name in _CLAY_VALUES]
         elif role == "COLLIDER":
             parts += [properties.collider_kind, properties.collider_friction]
             parts += [properties.collider_adhesion, len(item.data.vertices)]

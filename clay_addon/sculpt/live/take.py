@@ -21,7 +21,7 @@ from ...take.recorder import Mark, TakeError, TakeRecorder
 class SessionTake:
     """Records a session from the moment its solver is first built, if the scene asks for it.
 
-    A take that cannot go on ends there; the session does.
+    If the take cannot continue, it ends; the session continues.
 
     Args:
         wanted: Whether to record.

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Neighbour search: filling the rows of `pair_rows` anew when something has moved too far.
+"""Neighbor search: refilling the `rows` when something has moved too far.
 
-Bonds stay in a row however long they are; what must be found is only who may come close next.
-On the CPU particles are sorted into cells here; a graphics card uses Warp's hash grid.
+Bonds stay in a row however long they are; the search only has to find which pairs may come close
+next. On the CPU, particles are sorted into cells (`neighbors_cpu`); on a graphics card, Warp's hash
+grid finds them.
 """
 
 from typing import Any
@@ -14,11 +15,11 @@ from ...core.awake import Awake, awake_particle
 from ...core.particles import ByPart, Particles
 from . import neighbors_cpu
 from .pairs import Pairs
-from .rows import MOST_SLOTS, PairRows, keep_bonds, swap_slots
+from .rows import MAX_SLOTS, PairRows, keep_bonds, swap_slots
 
 _GRID_CELLS = 64
-MOST_FOLLOWED = 1000
-"""Particles whose motion as one is looked at, at most about twice as many."""
+MAX_FOLLOWED = 1000
+"""The motion of all clay as one is found from this many particles, at most about twice as many."""
 
 
 @wp.kernel(enable_backward=False)
@@ -30,7 +31,7 @@ def fill_rows(
     pairs: PairRows,
     needed: wp.array[int],
 ) -> None:
-    """List each particle's neighbours within reach, bonded ones first, as far as there is room."""
+    """List each particle's neighbors within reach, bonded ones first, as far as room allows."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -87,7 +88,7 @@ def measure_displacement(
 
 @wp.kernel(enable_backward=False)
 def match_rows(woken: wp.array[int], pairs: PairRows) -> None:
-    """Let particles that wake take over how their bonds to awake ones have changed meanwhile."""
+    """Give particles that wake the present rest lengths of their bonds to awake particles."""
     i = woken[wp.tid()]
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
@@ -118,7 +119,7 @@ def mark_one_sided(awake: Awake, needed: wp.array[int], pairs: PairRows) -> None
 
 @wp.kernel(enable_backward=False)
 def drop_marked(awake: Awake, pairs: PairRows) -> None:
-    """Take marked pairs out of the rows: one that acted at one end only would push for nothing."""
+    """Take marked pairs out of the rows: acting at one end only, they would make momentum."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -137,13 +138,13 @@ def drop_marked(awake: Awake, pairs: PairRows) -> None:
 
 
 class Neighbors:
-    """Fills rows, and tells when they must be filled again.
+    """Fills the rows and knows when they must be refilled.
 
     Args:
-        particles: Whose neighbours.
-        pairs: Whose rows to fill.
+        particles: The particles whose neighbors are listed.
+        pairs: The pairs whose rows are filled.
         reach: Distance within which pairs interact [m].
-        skin: Extra distance listed [m]; rows stay valid until a particle moved half of it.
+        skin: Extra distance listed [m]; rows stay valid until a particle has moved half of it.
     """
 
     def __init__(self, particles: Particles, pairs: Pairs, reach: float, skin: float) -> None:
@@ -154,13 +155,13 @@ class Neighbors:
         count, device = particles.count, particles.device
         self.listed_position = wp.zeros(count, dtype=wp.vec3, device=device)
         self.needed = wp.zeros(count, dtype=int, device=device)
-        """Slots that each row would fill."""
+        """Slots that each row would fill if it had the room."""
         self.largest = wp.zeros((particles.parts, 1), dtype=float, device=device)
         """Largest displacement since the rows were filled, squared, by part [m²]."""
         self.frame = wp.array(np.eye(4)[None], dtype=wp.mat44, device=device)
-        """Motion of all clay as one since the rows were filled: it changes no distances."""
+        """Rigid motion of all the clay since the rows were filled; it changes no distances."""
         self.overflow = 0
-        """Neighbours that found no free slot, since the beginning."""
+        """Neighbors that found no free slot, since the beginning."""
         self.rebuild_count = 0
         self._hash_grid: wp.HashGrid | None = None
         if device.is_cpu:
@@ -179,11 +180,11 @@ class Neighbors:
         needed = self.needed.numpy()
         short = needed > self.pairs.rows.room.numpy()
         if short.any():
-            self.overflow += int(np.maximum(needed[short] - MOST_SLOTS, 0).sum())
-            if (needed[short] < MOST_SLOTS).any() or self.rebuild_count == 0:
+            self.overflow += int(np.maximum(needed[short] - MAX_SLOTS, 0).sum())
+            if (needed[short] < MAX_SLOTS).any() or self.rebuild_count == 0:
                 self.pairs.make_room(np.flatnonzero(short), needed)
                 self._fill()
-            if (needed[short] > MOST_SLOTS).any():
+            if (needed[short] > MAX_SLOTS).any():
                 self.particles.launch(mark_one_sided, self.needed, self.pairs.rows)
                 self.particles.launch(drop_marked, self.pairs.rows)
         wp.copy(self.listed_position, position)
@@ -203,7 +204,7 @@ class Neighbors:
         )
 
     def match(self, woken: wp.array) -> None:
-        """Bring the rows of particles up to date that are about to wake.
+        """Bring the rows of particles that are about to wake up to date.
 
         Args:
             woken: Their indices; they still count as resting.
@@ -221,7 +222,7 @@ class Neighbors:
         )
 
     def measure(self) -> None:
-        """Find how far particles have moved; may be recorded."""
+        """Find how far particles have moved. The launches can be recorded."""
         self.particles.run(
             measure_displacement,
             neighbors_cpu.measure_displacement,
@@ -232,14 +233,14 @@ class Neighbors:
         )
 
     def _follow(self) -> bool:
-        """Let the frame of displacements go with the clay, and say whether rows are still good.
+        """Move the frame of displacements with the clay; whether the rows are then still good.
 
-        Clay that turns on a wheel moves far, and yet none of its distances change.
+        Clay that turns on a wheel moves far, yet none of its distances change.
         """
         particles = self.particles
         if len(particles.awake_index()) < particles.count:
             return False
-        every = max(1, particles.count // MOST_FOLLOWED)
+        every = max(1, particles.count // MAX_FOLLOWED)
         before = self.listed_position.numpy()[::every].astype(np.float64)
         now = particles.position.numpy()[::every].astype(np.float64)
         self.frame.assign(rigid_motion(before, now).astype(np.float32)[None])
@@ -251,12 +252,12 @@ class Neighbors:
         return bool(self.largest.numpy().max() <= (0.5 * self.skin) ** 2)
 
     def rebuild_if_moved(self) -> None:
-        """Refill the rows where a particle has used up its half of the skin."""
+        """Refill the rows if a particle has used up its half of the skin."""
         if not (self._within_skin() or self._follow()):
             self.rebuild()
 
     def snapshot(self) -> dict[str, np.ndarray]:
-        """State that decides what the next passes do; rows one behind the other."""
+        """State that the next passes depend on; the rows are joined end to end."""
         rows = self.pairs.rows
         listed = rows.listed.numpy()
         slots = _slots(rows.first.numpy(), listed)
@@ -273,7 +274,7 @@ class Neighbors:
         }
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore the state that `snapshot` returned."""
         rows = self.pairs.rows
         rows.listed.zero_()
         self.pairs.lay_out(snapshot["neighbor_room"] - 4)
@@ -292,7 +293,7 @@ class Neighbors:
 
 
 def rigid_motion(before: np.ndarray, now: np.ndarray) -> np.ndarray:
-    """The rigid motion that takes points nearest to others (Kabsch 1976), shape [4, 4].
+    """The rigid motion that brings points closest to others (Kabsch 1976), shape [4, 4].
 
     Args:
         before: Where the points were [m], shape [N, 3].
@@ -308,6 +309,6 @@ def rigid_motion(before: np.ndarray, now: np.ndarray) -> np.ndarray:
 
 
 def _slots(first: np.ndarray, listed: np.ndarray) -> np.ndarray:
-    """Where the listed neighbours of all rows stand, row by row."""
+    """Slots of the listed neighbors of all rows, row by row."""
     begin = np.cumsum(listed) - listed
     return np.repeat(first - begin, listed) + np.arange(int(listed.sum()))

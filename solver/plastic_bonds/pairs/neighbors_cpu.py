@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Neighbour search on the CPU: particles sorted by cell, and rows filled by vector units.
+"""Neighbor search on the CPU: particles sorted by cell, and rows filled by vector units.
 
-The passes of `neighbors`; a test compares the two.
+The passes are those of `neighbors`; a test compares the two.
 """
 
 from typing import Any
@@ -32,9 +32,9 @@ class CellGrid:
     cell: wp.array[int]
     """Of each particle."""
     start: wp.array[int]
-    """Where each cell's particles begin in the order."""
+    """Where each cell's particles begin in ``order``."""
     order: wp.array[int]
-    """Particles by cell."""
+    """Particles, sorted by cell."""
     x: wp.array[float]
     y: wp.array[float]
     z: wp.array[float]
@@ -42,13 +42,13 @@ class CellGrid:
     mark: wp.array2d[int]
     """Scratch for each part's thread, one for each particle."""
     box_low: wp.vec3
-    """What lies outside of this box is no neighbour of anything awake [m]."""
+    """Nothing outside this box is a neighbor of an awake particle [m]."""
     box_high: wp.vec3
 
 
 @wp.kernel(enable_backward=False)
 def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
-    """Count the particles in each cell; what lies outside the grid goes to its outermost cells."""
+    """Count the particles in each cell; those outside the grid go to its outermost cells."""
     i = wp.tid()
     below = wp.max(grid.box_low - position[i])
     above = wp.max(position[i] - grid.box_high)
@@ -72,7 +72,7 @@ def sum_starts(cells: int, grid: CellGrid) -> None:
 
 @wp.kernel(enable_backward=False)
 def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
-    """Put particles in order; afterwards each start has moved to its cell's end."""
+    """Sort the particles by cell; afterward each start has moved to its cell's end."""
     i = wp.tid()
     if grid.cell[i] < 0:
         return
@@ -83,7 +83,7 @@ def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
     grid.z[slot] = position[i][2]
 
 
-# Cells of a row along x lie one behind the other: nine runs hold all neighbours.
+# Cells along x are contiguous: nine runs hold all neighbors.
 @wp.func_native(
     VECTORS
     + """
@@ -200,13 +200,13 @@ def measure_displacement(
 
 
 def make_cell_grid(particles: Particles, reach: float) -> CellGrid:
-    """Room for all particles, in cells of the edge ``reach`` [m]."""
+    """Make room for all particles, in cells with edges of ``reach`` [m]."""
     grid = CellGrid()
     particle_count, device = particles.count, particles.device
     for name in ("cell", "order"):
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=int, device=device))
     for name in ("x", "y", "z"):
-        # Vector units read up to seven behind the last.
+        # Vector units read up to seven numbers past the last.
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=float, device=device))
     grid.mark = wp.zeros((particles.parts, particle_count + 8), dtype=int, device=device)
     grid.start = wp.zeros(1, dtype=int, device=device)
@@ -215,12 +215,12 @@ def make_cell_grid(particles: Particles, reach: float) -> CellGrid:
 
 
 def sort_into_cells(grid: CellGrid, particles: Particles, reach: float) -> None:
-    """Sort the particles that may be neighbours of any that are awake by cell.
+    """Sort by cell the particles that may be neighbors of awake ones.
 
     Args:
-        grid: Of `make_cell_grid`.
+        grid: The grid that `make_cell_grid` returned.
         particles: The particles.
-        reach: The edge of a cell, and farthest that neighbours may be [m].
+        reach: Edge of a cell, and the largest distance of neighbors [m].
     """
     position = particles.position
     points = position.numpy()

@@ -6,20 +6,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ...core.particles import Particles
-from ..law import Clay
-from . import (
-    products as pair_products,
-)
-from . import (
-    products_cpu as pair_products_cpu,
-)
-from . import (
-    rows as pair_rows,
-)
-from . import (
-    rows_cpu as pair_rows_cpu,
-)
-from .rows import MOST_SLOTS, PairRows
+from ..law_data import SharedLaw
+from . import forces, forces_cpu, measures, measures_cpu, products, products_cpu
+from .rows import MAX_SLOTS, PairRows
 
 _BY_SLOT = (
     "direction_x",
@@ -34,7 +23,7 @@ _BY_SLOT = (
 
 @wp.kernel(enable_backward=False)
 def copy_rows(before: PairRows, after: PairRows) -> None:
-    """Carry neighbours and rest lengths over to another layout."""
+    """Copy neighbors and rest lengths to another layout."""
     i = wp.tid()
     for e in range(after.listed[i]):
         after.other[after.first[i] + e] = before.other[before.first[i] + e]
@@ -56,41 +45,41 @@ def move_rows(
 
 
 def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Slots to give to rows: a little more than needed, so that they need not move often."""
-    return (np.minimum(needed + 4, MOST_SLOTS) + 7) // 8 * 8
+    """Slots to give to rows: a few more than needed, so that rows seldom move."""
+    return (np.minimum(needed + 4, MAX_SLOTS) + 7) // 8 * 8
 
 
 class Pairs:
-    """The rows of neighbours and the passes over those that act.
+    """The rows of neighbors and the passes over those that act.
 
     Args:
-        particles: Whose pairs.
+        particles: The particles that are paired.
     """
 
     def __init__(self, particles: Particles) -> None:
         self.particles = particles
         count, device = particles.count, particles.device
-        rows = PairRows()
+        self.rows = PairRows()
         for name in ("first", "room", "listed", "acting"):
-            setattr(rows, name, wp.zeros(count, dtype=int, device=device))
-        rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
-        rows.resting = particles.resting
-        self.rows = rows
+            setattr(self.rows, name, wp.zeros(count, dtype=int, device=device))
+        self.rows.condition = wp.zeros(count, dtype=wp.vec4, device=device)
+        self.rows.resting = particles.resting
         self.generation = 0
         self._slots = self._used = 0
-        rows.other = wp.zeros(0, dtype=int, device=device)
-        rows.rest_length = wp.zeros(0, dtype=float, device=device)
+        self.rows.other = wp.zeros(0, dtype=int, device=device)
+        self.rows.rest_length = wp.zeros(0, dtype=float, device=device)
         self.lay_out(np.zeros(count, np.int32))
         self._left = wp.zeros(count if device.is_cpu else 0, dtype=int, device=device)
-        self._passes = pair_rows_cpu if device.is_cpu else pair_rows
-        self._products = pair_products_cpu if device.is_cpu else pair_products
+        self._measures = measures_cpu if device.is_cpu else measures
+        self._forces = forces_cpu if device.is_cpu else forces
+        self._products = products_cpu if device.is_cpu else products
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
     def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
-        """Give some rows the room they need, behind all others while there is space.
+        """Give some rows the room they need, after all others while there is space.
 
         Args:
-            short: Which rows are too short, shape [S].
+            short: Indices of the rows that are too short, shape [S].
             needed: Slots for each particle, shape [N].
         """
         rows, device = self.rows, self.particles.device
@@ -111,7 +100,7 @@ class Pairs:
         wp.launch(move_rows, dim=len(short), inputs=inputs, device=device)
 
     def lay_out(self, needed: NDArray[np.int32]) -> None:
-        """Give every row as much room as it needs, and keep what is in the rows.
+        """Give every row as much room as it needs, keeping its contents.
 
         Args:
             needed: Slots for each particle, shape [N].
@@ -124,7 +113,7 @@ class Pairs:
         before.rest_length = wp.clone(rows.rest_length)
         total = self._used = int(room.sum())
         if total > self._slots:
-            # Recordings hold on to arrays: new ones should not be needed often.
+            # Recordings refer to arrays: new ones should seldom be needed.
             self._slots = total + total // 3
             rows.other = wp.zeros(self._slots, dtype=int, device=device)
             for name in ("rest_length", *_BY_SLOT):
@@ -134,15 +123,15 @@ class Pairs:
         rows.room.assign(room.astype(np.int32))
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
 
-    def gather(self, clay: Clay, bodies: wp.array) -> None:
-        """Collect the pairs that act from here, and measure them at the present velocities."""
+    def gather(self, shared: SharedLaw, particle_laws: wp.array) -> None:
+        """Find the pairs that act at the present positions, and `measure` them."""
         particles = self.particles
-        # The CPU's pass needs a list of the rows that it leaves to the plain one.
+        # The CPU's pass notes the rows that it leaves to the plain functions.
         left = [self._left] if particles.device.is_cpu else []
         self._launch(
-            self._passes.lay_pairs,
-            clay,
-            bodies,
+            self._measures.lay_pairs,
+            shared,
+            particle_laws,
             particles.material,
             particles.position,
             particles.velocity,
@@ -150,13 +139,13 @@ class Pairs:
             *left,
         )
 
-    def measure(self, clay: Clay, bodies: wp.array) -> None:
+    def measure(self, shared: SharedLaw, particle_laws: wp.array) -> None:
         """Find lengths, volumes and stresses at the end of a substep with these velocities."""
         particles = self.particles
         self._launch(
-            self._passes.measure_pairs,
-            clay,
-            bodies,
+            self._measures.measure_pairs,
+            shared,
+            particle_laws,
             particles.material,
             particles.velocity,
             self.rows,
@@ -164,19 +153,19 @@ class Pairs:
 
     def sum_forces(
         self,
-        clay: Clay,
+        shared: SharedLaw,
         pair_laws: wp.array,
-        bodies: wp.array,
+        particle_laws: wp.array,
         residual: wp.array,
         diagonal: wp.array,
     ) -> None:
-        """Residual impulse and tangent at the present velocities; `measure` comes first."""
+        """Find residual impulse and tangent at the present velocities. Call `measure` first."""
         particles = self.particles
         self._launch(
-            self._passes.sum_forces,
-            clay,
+            self._forces.sum_forces,
+            shared,
             pair_laws,
-            bodies,
+            particle_laws,
             particles.material,
             particles.velocity_free,
             particles.velocity,
@@ -187,36 +176,37 @@ class Pairs:
 
     def multiply(
         self,
-        clay: Clay,
-        bodies: wp.array,
+        shared: SharedLaw,
+        particle_laws: wp.array,
         own_block: wp.array,
         direction: wp.array,
         product: wp.array,
         curvature: wp.array,
         iteration: int,
     ) -> None:
-        """Multiply a direction [m/s] by the tangent; `sum_forces` comes first.
+        """Multiply a direction [m/s] by the tangent. Call `sum_forces` first.
 
         Args:
-            clay: What all pairs share.
-            bodies: What particles of each material have of their own.
+            shared: What all pairs share.
+            particle_laws: The values of particles of each material.
             own_block: Mass and contacts alone [kg].
-            direction: What to multiply [m/s]; with room behind for how pressures change.
+            direction: What to multiply [m/s]; the fourth number takes the change of pressure.
             product: The product [N s].
             curvature: Direction times product is added to it, by part and iteration [J].
-            iteration: Which.
+            iteration: The column of ``curvature``.
         """
         particles = self.particles
         self._launch(
             self._products.press_pairs,
-            bodies,
+            shared,
+            particle_laws,
             particles.material,
-            clay.time_step,
             self.rows,
             direction,
         )
         self._launch(
             self._products.multiply_pairs,
+            shared,
             self.rows,
             own_block,
             direction,
@@ -225,12 +215,12 @@ class Pairs:
             iteration,
         )
 
-    def flow(self, clay: Clay, pair_laws: wp.array) -> None:
+    def flow(self, shared: SharedLaw, pair_laws: wp.array) -> None:
         """Write the rest lengths after flow, at the final velocities."""
         particles = self.particles
         self._launch(
-            self._passes.flow_pairs,
-            clay,
+            self._forces.flow_pairs,
+            shared,
             pair_laws,
             particles.material,
             particles.velocity,

@@ -1,33 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiplying a direction of search by the tangent of all pairs, without ever forming a matrix.
+"""Multiplying a search direction by the tangent of all pairs, without ever forming a matrix.
 
-First each compressed particle finds how the motion changes its pressure, then each particle gathers
-what bonds, dampers and pressures of its pairs answer.
+First each compressed particle finds how the motion changes its pressure, then each particle sums
+the responses of the bonds, dampers and pressures of its pairs.
 """
 
 import warp as wp
 
 from ...core.awake import Awake, awake_particle
-from ..law import Body
+from ..law_data import ParticleLaw, SharedLaw
+from ..law_functions import pressure_tangent, tangent_pull
 from .rows import COMPRESSION, PairRows, pair_direction
 
 
 @wp.func
 def motion(direction: wp.vec4) -> wp.vec3:
-    """The motion of a particle in a direction of search, without the change of its pressure."""
+    """Motion of a particle in a search direction, without the change of its pressure."""
     return wp.vec3(direction[0], direction[1], direction[2])
 
 
 @wp.kernel(enable_backward=False)
 def press_pairs(
     awake: Awake,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
-    time_step: float,
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None:
-    """How a motion changes the pressure of compressed particles; kept beside the motion."""
+    """Find how a motion changes the pressure of compressed particles; keep it with the motion."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -37,13 +38,14 @@ def press_pairs(
         for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
             way = motion(p) - motion(direction[pairs.other[slot]])
             total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), way)
-    p[3] = total * bodies[material[i]].pressure_stiffness * time_step * time_step
+    p[3] = total * pressure_tangent(shared, particle_laws[material[i]].pressure_stiffness)
     direction[i] = p
 
 
 @wp.kernel(enable_backward=False)
 def multiply_pairs(
     awake: Awake,
+    shared: SharedLaw,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     direction: wp.array[wp.vec4],
@@ -62,7 +64,9 @@ def multiply_pairs(
         j = pairs.other[slot]
         n = pair_direction(pairs, slot)
         closing = wp.dot(n, p - motion(direction[j]))
-        pull = pairs.stiffness[slot] * closing + pairs.slope[slot] * (own + direction[j][3])
-        total += n * pull
+        pressures = own + direction[j][3]
+        total += n * tangent_pull(
+            shared, pairs.stiffness[slot], closing, pairs.slope[slot], pressures
+        )
     product[i] = total
     wp.atomic_add(curvature, awake.part, iteration, wp.float64(wp.dot(total, p)))

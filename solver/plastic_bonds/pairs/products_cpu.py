@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The passes of `pair_products` for the CPU's vector units: eight pairs of a row at a time.
+"""The passes of `products` for the CPU's vector units: eight pairs of a row at a time.
 
-Most of a frame goes into them. A test holds the two to the same results.
+Most of a frame is spent in them. A test holds the two to the same results.
 """
 
 import warp as wp
 
 from ...core.awake import Awake
 from ...core.vector_units import OPTIONS, over_block
-from ..law import Body
-from .rows import PairRows
-from .rows_cpu import ROW
+from ..law import FORMULAS
+from ..law_data import ParticleLaw, SharedLaw
+from .rows import ROW, PairRows
 
 wp.set_module_options(OPTIONS)
 
@@ -21,12 +21,12 @@ _DIRECTION = """
 
 @wp.func_native(
     over_block(
-        """
+        FORMULAS
+        + """
     float* p = (float*)direction.data;
-    const float square = time_step * time_step;
 """,
         """
-    // Those that are not compressed have no change already.
+    // The change is zero already where nothing is compressed.
     if (pairs.condition.data[i][0] <= 0.f) continue;
 """
         + ROW
@@ -39,17 +39,17 @@ _DIRECTION = """
         total += load(slope + e)
             * (load(nx + e) * (px - x) + load(ny + e) * (py - y) + load(nz + e) * (pz - z));
     }
-    const float scale = bodies.data[material.data[i]].pressure_stiffness * square;
-    p[4 * i + 3] = sum(total) * scale;
+    const auto& own = particle_laws.data[material.data[i]];
+    p[4 * i + 3] = sum(total) * pressure_tangent(own.pressure_stiffness);
 """,
     )
 )
 def press_block(
     block: int,
     awake: Awake,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
-    time_step: float,
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None: ...
@@ -58,19 +58,20 @@ def press_block(
 @wp.kernel(enable_backward=False)
 def press_pairs(
     awake: Awake,
-    bodies: wp.array[Body],
+    shared: SharedLaw,
+    particle_laws: wp.array[ParticleLaw],
     material: wp.array[int],
-    time_step: float,
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None:
-    """`pair_products.press_pairs`."""
-    press_block(wp.tid(), awake, bodies, material, time_step, pairs, direction)
+    """`products.press_pairs`."""
+    press_block(wp.tid(), awake, shared, particle_laws, material, pairs, direction)
 
 
 @wp.func_native(
     over_block(
-        """
+        FORMULAS
+        + """
     const float* __restrict__ p = (const float*)direction.data;
     double energy = 0.0;
 """,
@@ -84,8 +85,8 @@ def press_pairs(
         pick4(p, other + e, x, y, z, pressure);
         const f8 dx = load(nx + e), dy = load(ny + e), dz = load(nz + e);
         const f8 closing = dx * (px - x) + dy * (py - y) + dz * (pz - z);
-        const f8 pull = load(stiffness + e) * closing
-            + load(slope + e) * (own + pressure);
+        const f8 pull =
+            tangent_pull(load(stiffness + e), closing, load(slope + e), own + pressure);
         ax += dx * pull;
         ay += dy * pull;
         az += dz * pull;
@@ -106,6 +107,7 @@ def press_pairs(
 def multiply_block(
     block: int,
     awake: Awake,
+    shared: SharedLaw,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     direction: wp.array[wp.vec4],
@@ -118,6 +120,7 @@ def multiply_block(
 @wp.kernel(enable_backward=False)
 def multiply_pairs(
     awake: Awake,
+    shared: SharedLaw,
     pairs: PairRows,
     own_block: wp.array[wp.mat33],
     direction: wp.array[wp.vec4],
@@ -125,10 +128,11 @@ def multiply_pairs(
     curvature: wp.array2d[wp.float64],
     iteration: int,
 ) -> None:
-    """`pair_products.multiply_pairs`."""
+    """`products.multiply_pairs`."""
     multiply_block(
         wp.tid(),
         awake,
+        shared,
         pairs,
         own_block,
         direction,

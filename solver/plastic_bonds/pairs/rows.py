@@ -1,37 +1,42 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pairs that act in a substep, and the forces between them.
+"""The rows of neighbors: where the pairs that act in a substep are kept.
 
-Each particle keeps a row of neighbours, one row behind the other in arrays as long as needed. The
-first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbour's
+Each particle keeps a row of neighbors; the rows lie end to end in arrays as long as needed. The
+first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbor's
 index and the pair's rest length: 0 for a free pair, negative while a new bond is being counted in,
 positive for a bond. Every pair is kept at both ends, so that each particle gathers its own sum: no
 pass needs atomics. Both ends compute the same numbers from the same values, so forces are equal and
-opposite and rest lengths stay equal, but for rounding. A pair's direction is that at the start of
-the substep, its length that at the end: so pair forces conserve angular momentum exactly.
+opposite and rest lengths stay equal, up to rounding. A pair's direction is taken at the start
+of the substep and its length at the end, so pair forces conserve angular momentum exactly.
 """
 
 import warp as wp
 
-from ...core.awake import Awake, awake_particle
-from ..law import (
-    Body,
-    Clay,
-    PairLaw,
-    bond_hold,
-    flow_bond,
-    flow_share,
-    kernel_slope,
-    kernel_value,
-    pair_damping,
-    surface_density,
-)
+from ..law_data import SharedLaw
+from ..law_functions import begins_to_press, forms_bond, lets_go
 
 COMPRESSION = wp.constant(0)
 DILATION = wp.constant(1)
 SHARE = wp.constant(2)
 DAMPING = wp.constant(3)
-MOST_SLOTS = 96
-"""Neighbours a particle can list: clay at three times its density within two spacings."""
+MAX_SLOTS = 96
+"""Neighbors a particle can list: enough for clay at three times its density within two spacings."""
+
+ROW = """
+    const int acting = pairs.acting.data[i];
+    const int end = (acting + 7) & ~7;
+    const long long row = pairs.first.data[i];
+    const int* __restrict__ other = pairs.other.data + row;
+    float* __restrict__ rests = pairs.rest_length.data + row;
+    float* __restrict__ nx = pairs.direction_x.data + row;
+    float* __restrict__ ny = pairs.direction_y.data + row;
+    float* __restrict__ nz = pairs.direction_z.data + row;
+    float* __restrict__ distance = pairs.distance.data + row;
+    float* __restrict__ next = pairs.distance_next.data + row;
+    float* __restrict__ stiffness = pairs.stiffness.data + row;
+    float* __restrict__ slope = pairs.slope.data + row;
+"""
+"""Text that finds the row of the particle ``i``, for vector units."""
 
 
 @wp.struct
@@ -47,14 +52,15 @@ class PairRows:
     acting: wp.array[int]
     """Slots that act, from the first."""
     resting: wp.array[int]
-    """1 for a particle that sleeps: it forms no bonds."""
+    """1 for a particle that sleeps; it forms no bonds."""
     other: wp.array[int]
+    """Index of the neighbor."""
     rest_length: wp.array[float]
     """[m]; 0 for a free pair, negative while a bond is counted in."""
     direction_x: wp.array[float]
     direction_y: wp.array[float]
     direction_z: wp.array[float]
-    """Towards the other, at the start of the substep; kept by axis for vector units."""
+    """Unit vector toward the neighbor at the start of the substep; by axis for vector units."""
     distance: wp.array[float]
     """At the start of the substep [m]."""
     distance_next: wp.array[float]
@@ -64,10 +70,10 @@ class PairRows:
     slope: wp.array[float]
     """How fast the pair's share of the density falls with distance [1/m]."""
     condition: wp.array[wp.vec4]
-    """What the others must know of a particle, one behind the other for vector units: at
-    `COMPRESSION` density over that at rest, less one, where positive; at `DILATION` the mean linear
-    strain of its bonds; at `SHARE` the part of their stretch that its bonds lose by flow in the
-    substep; at `DAMPING` its damping of the parting of pairs [N s/m]."""
+    """What neighbors need to know of a particle, packed for vector units: at `COMPRESSION` its
+    density over that at rest, less one, where positive; at `DILATION` the mean linear strain of its
+    bonds; at `SHARE` the fraction of their stretch that its bonds lose by flow in the substep; at
+    `DAMPING` how it damps the parting of pairs [N s/m]."""
 
 
 @wp.func
@@ -78,7 +84,7 @@ def pair_direction(pairs: PairRows, slot: int) -> wp.vec3:
 
 @wp.func
 def swap_slots(pairs: PairRows, a: int, b: int) -> None:
-    """Exchange two neighbours of a row."""
+    """Exchange two neighbors of a row."""
     other = pairs.other[a]
     rest = pairs.rest_length[a]
     pairs.other[a] = pairs.other[b]
@@ -89,7 +95,7 @@ def swap_slots(pairs: PairRows, a: int, b: int) -> None:
 
 @wp.func
 def keep_bonds(pairs: PairRows, i: int) -> int:
-    """Pack a row's bonds to its front, and say how many they are."""
+    """Pack a row's bonds to its front and return how many there are."""
     first = pairs.first[i]
     used = first
     for slot in range(first, first + pairs.acting[i]):
@@ -103,8 +109,8 @@ def keep_bonds(pairs: PairRows, i: int) -> int:
 
 
 @wp.func
-def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Let go of pairs that no longer act, take up those that come close, count new bonds in."""
+def sort_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+    """Drop pairs that no longer act, add those that come close, count new bonds in."""
     x = position[i]
     first = pairs.first[i]
     end = first + pairs.acting[i]
@@ -113,12 +119,12 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
         rest = pairs.rest_length[slot]
         if rest <= 0.0:
             apart = wp.length(position[pairs.other[slot]] - x)
-            if apart < clay.form_reach and clay.bonds == 1:
+            if forms_bond(shared, apart):
                 rest -= 1.0
-                if rest < -clay.dwell:
-                    rest = wp.max(apart, clay.shortest_length)
+                if rest < -shared.dwell:
+                    rest = wp.max(apart, shared.min_rest_length)
             else:
-                rest = wp.where(apart < clay.break_length, -1.0, 0.0)
+                rest = wp.where(lets_go(shared, apart), 0.0, -1.0)
             pairs.rest_length[slot] = rest
         if rest == 0.0:
             end -= 1
@@ -127,199 +133,8 @@ def sort_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -
             slot += 1
     for candidate in range(end, first + pairs.listed[i]):
         j = pairs.other[candidate]
-        if pairs.resting[j] == 0 and wp.length(position[j] - x) < clay.press_reach:
+        if pairs.resting[j] == 0 and begins_to_press(shared, wp.length_sq(position[j] - x)):
             pairs.rest_length[candidate] = -1.0
             swap_slots(pairs, candidate, end)
             end += 1
     pairs.acting[i] = end - first
-
-
-@wp.func
-def lay_row(clay: Clay, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Find directions and distances of a particle's pairs."""
-    floor = 1.0e-6 * clay.spacing
-    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-        j = pairs.other[slot]
-        offset = position[j] - position[i]
-        apart = wp.length(offset)
-        direction = offset / wp.max(apart, floor)
-        if apart <= floor:
-            # Coincident particles part along a direction that both ends agree on.
-            seed = wp.rand_init(wp.min(i, j), wp.max(i, j))
-            direction = wp.sample_unit_sphere_surface(seed)
-            if i > j:
-                direction = -direction
-        pairs.direction_x[slot] = direction[0]
-        pairs.direction_y[slot] = direction[1]
-        pairs.direction_z[slot] = direction[2]
-        pairs.distance[slot] = wp.max(apart, floor)
-
-
-@wp.func
-def measure_row(
-    clay: Clay,
-    bodies: wp.array[Body],
-    material: wp.array[int],
-    velocity: wp.array[wp.vec3],
-    pairs: PairRows,
-    i: int,
-) -> None:
-    """Find the lengths of a particle's pairs at the end of the substep, its volume and stress."""
-    v = velocity[i]
-    density = clay.inverse_rest_sum
-    lopsided = wp.vec3()
-    lengths = float(0.0)
-    squares = float(0.0)
-    parting = float(0.0)
-    rates = float(0.0)
-    stretch = wp.mat33()
-    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-        closing = velocity[pairs.other[slot]] - v
-        n = pair_direction(pairs, slot)
-        before = pairs.distance[slot]
-        apart = wp.length(n * before + closing * clay.time_step)
-        pairs.distance_next[slot] = apart
-        value = kernel_value(clay, apart)
-        density += value
-        lopsided += n * value
-        speed = wp.dot(n, closing)
-        squares += apart * apart
-        parting += apart * speed
-        rates += speed * speed
-        rest = pairs.rest_length[slot]
-        if rest > 0.0:
-            hold = bond_hold(clay, rest)
-            lengths += hold * rest * rest
-            stretch += wp.outer(n, n) * (hold * (apart - rest) * apart)
-    body = bodies[material[i]]
-    pairs.condition[i] = wp.vec4(
-        wp.max(density + surface_density(clay, lopsided) - 1.0, 0.0),
-        wp.trace(stretch) / wp.max(lengths, 1.0e-12 * clay.spacing * clay.spacing),
-        flow_share(clay, body, stretch),
-        pair_damping(clay, body, squares, parting, rates),
-    )
-
-
-@wp.kernel(enable_backward=False)
-def lay_pairs(
-    awake: Awake,
-    clay: Clay,
-    bodies: wp.array[Body],
-    material: wp.array[int],
-    position: wp.array[wp.vec3],
-    velocity: wp.array[wp.vec3],
-    pairs: PairRows,
-) -> None:
-    """Find the pairs that act, their directions and distances, and measure."""
-    i = awake_particle(awake, wp.tid())
-    if i >= 0:
-        sort_row(clay, position, pairs, i)
-        lay_row(clay, position, pairs, i)
-        measure_row(clay, bodies, material, velocity, pairs, i)
-
-
-@wp.kernel(enable_backward=False)
-def measure_pairs(
-    awake: Awake,
-    clay: Clay,
-    bodies: wp.array[Body],
-    material: wp.array[int],
-    velocity: wp.array[wp.vec3],
-    pairs: PairRows,
-) -> None:
-    """Find each pair's length at the end of the substep, each particle's volume and stress."""
-    i = awake_particle(awake, wp.tid())
-    if i >= 0:
-        measure_row(clay, bodies, material, velocity, pairs, i)
-
-
-@wp.kernel(enable_backward=False)
-def sum_forces(
-    awake: Awake,
-    clay: Clay,
-    pair_laws: wp.array[PairLaw],
-    bodies: wp.array[Body],
-    material: wp.array[int],
-    velocity_free: wp.array[wp.vec3],
-    velocity: wp.array[wp.vec3],
-    pairs: PairRows,
-    residual: wp.array[wp.vec3],
-    diagonal: wp.array[wp.mat33],
-) -> None:
-    """Impulse still missing at each particle [N s], and the tangent of the forces [kg]."""
-    i = awake_particle(awake, wp.tid())
-    if i < 0:
-        return
-    dt = clay.time_step
-    own = material[i]
-    body = bodies[own]
-    condition = pairs.condition[i]
-    compression = condition[COMPRESSION]
-    pressure = body.pressure_stiffness * compression
-    force = wp.vec3()
-    slope_sum = wp.vec3()
-    block = wp.identity(n=3, dtype=float) * body.mass
-    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-        j = pairs.other[slot]
-        apart = pairs.distance_next[slot]
-        n = pair_direction(pairs, slot)
-        a = kernel_slope(clay, apart)
-        mean = 0.5 * (condition + pairs.condition[j])
-        other_compression = pairs.condition[j][COMPRESSION]
-        other_stiffness = bodies[material[j]].pressure_stiffness
-        speed = (apart - pairs.distance[slot]) / dt
-        pull = mean[DAMPING] * speed - (pressure + other_stiffness * other_compression) * a
-        k = mean[DAMPING] * dt
-        rest = pairs.rest_length[slot]
-        if rest > 0.0:
-            law = pair_laws[own * clay.material_count + material[j]]
-            pressed = mean[COMPRESSION] > 0.0
-            bond = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
-            stiffness = law.stiffness * bond_hold(clay, rest)
-            pull += stiffness * (apart - bond.rest_length)
-            k += stiffness * bond.softening * dt * dt
-        force += n * pull
-        pairs.stiffness[slot] = k
-        pairs.slope[slot] = a
-        slope_sum += n * a
-        w = k
-        if other_compression > 0.0:
-            w += other_stiffness * dt * dt * a * a
-        block += wp.outer(n, n) * w
-    if compression > 0.0:
-        block += wp.outer(slope_sum, slope_sum) * (body.pressure_stiffness * dt * dt)
-    residual[i] = (velocity_free[i] - velocity[i]) * body.mass + force * dt
-    diagonal[i] = block
-
-
-@wp.kernel(enable_backward=False)
-def flow_pairs(
-    awake: Awake,
-    clay: Clay,
-    pair_laws: wp.array[PairLaw],
-    material: wp.array[int],
-    velocity: wp.array[wp.vec3],
-    pairs: PairRows,
-) -> None:
-    """Keep what flowed: write the bonds' new rest lengths, and drop those that broke.
-
-    Lengths are those at the final velocities; volume and stress those last linearised at.
-    """
-    i = awake_particle(awake, wp.tid())
-    if i < 0:
-        return
-    for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-        rest = pairs.rest_length[slot]
-        if rest > 0.0:
-            j = pairs.other[slot]
-            law = pair_laws[material[i] * clay.material_count + material[j]]
-            mean = 0.5 * (pairs.condition[i] + pairs.condition[j])
-            pressed = mean[COMPRESSION] > 0.0
-            closing = velocity[j] - velocity[i]
-            way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * clay.time_step
-            apart = wp.length(way)
-            flowed = flow_bond(clay, law, rest, apart, mean[DILATION], mean[SHARE], pressed)
-            rest = flowed.rest_length
-            if wp.max(apart, rest) > clay.break_length:
-                rest = 0.0
-            pairs.rest_length[slot] = rest

@@ -2,9 +2,9 @@
 """The rigid modes of coarse cells, and how the coarse matrix is summed.
 
 A bond between cells a and b pulls along its direction n with a stiffness k. Its row of modes in a
-cell is r = (n, (x - c) × n), and since n goes through both ends, r_b follows from r_a alone. So
-for each pair of cells only the sum of k r_a r_a^T is gathered, at block (a, b); `join_blocks` and
-`coarse_space_cpu.factor` make the matrix of it.
+cell is r = (n, (x - c) × n), and since the line along n goes through both ends, r_b follows from
+r_a alone. So for each pair of cells only the sum of k r_a r_a^T is gathered, at block (a, b);
+`coarse_space.join_blocks` and `coarse_space_cpu.factor` build the matrix from it.
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from ...core.awake import Awake, awake_particle
 from ..pairs.rows import PairRows, pair_direction
 
 MODES = 6
-"""Of a cell: three shifts and three turns."""
+"""Modes of a cell: three translations and three rotations."""
 
 
 @wp.func
@@ -61,7 +61,7 @@ def assemble(
     pairs: PairRows,
     matrix: wp.array2d[float],
 ) -> None:
-    """Sum up mass and contacts of each particle, and bonds that join two cells."""
+    """Sum mass and contacts of each particle, and the bonds that join two cells."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -71,7 +71,7 @@ def assemble(
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         theirs = cell[pairs.other[slot]]
         if theirs != own:
-            # What a cell hangs on may also be asleep: then it holds like a wall.
+            # A neighbor that is asleep holds like a wall.
             column = wp.where(theirs < 0, own, theirs)
             row = rigid_row(arm, pair_direction(pairs, slot))
             add_block(matrix, own, column, row, row, pairs.stiffness[slot])

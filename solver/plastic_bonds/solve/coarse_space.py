@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A coarse space of rigid motions: what makes few iterations enough.
 
-Particles are gathered in box cells; each cell has six rigid modes. Solving the system restricted
-to these modes (Galerkin, P^T A P) carries at once what neighbours would pass on over many
-iterations: weight, support, whole-body motion. It is used beside a block-Jacobi preconditioner
-(additive Schwarz with a coarse space; Toselli and Widlund, *Domain Decomposition Methods*, 2005,
-chapter 3), and once more at the end of each solve: then no net impulse is left over in any cell,
-so momentum is kept and a block at rest weighs exactly what it should.
+Particles are grouped in box cells; each cell has six rigid modes. Solving the system restricted to
+these modes (Galerkin, P^T A P) transmits at once what neighbors would pass on over many iterations:
+weight, support, whole-body motion. It is used with a block-Jacobi preconditioner (additive Schwarz
+with a coarse space; Toselli and Widlund, *Domain Decomposition Methods*, 2005, chapter 3), and once
+more at the end of each solve: then no net impulse is left in any cell, so momentum is conserved and
+a block at rest has exactly its weight.
 """
 
 import numpy as np
@@ -22,18 +22,18 @@ from .coarse_modes import MODES, assemble, rigid_row
 
 CELL = 8.0
 """Edge of a cell, in spacings."""
-MOST_CELLS = 64
-"""Cells grow until no more than this are occupied."""
+MAX_CELLS = 64
+"""Cells are enlarged until at most this many are occupied."""
 _GRID_LIMIT = 1 << 18
 _REBUILDS = 4
-"""Cells are laid anew after the neighbour lists have been, this many times."""
+"""Cells are laid again after this many rebuilds of the neighbor lists."""
 
 
 @wp.func
 def add_to_modes(
     sums: wp.array2d[wp.float64], part: int, cell: int, arm: wp.vec3, impulse: wp.vec3
 ) -> None:
-    """Sum an impulse onto a cell's modes."""
+    """Add an impulse to the sums of a cell's modes."""
     row = rigid_row(arm, impulse)
     for p in range(MODES):
         wp.atomic_add(sums, part, MODES * cell + p, wp.float64(row[p]))
@@ -59,7 +59,7 @@ def find_boxes(
     occupants: wp.array[int],
     sums: wp.array[wp.vec3],
 ) -> None:
-    """Find the box each particle lies in, and sum up the boxes' occupants."""
+    """Find the box that each particle lies in, and sum the boxes' occupants."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -72,7 +72,7 @@ def find_boxes(
 
 @wp.kernel(enable_backward=False)
 def number_cells(awake: Awake, number: wp.array[int], cell: wp.array[int]) -> None:
-    """Replace boxes by the numbers of those that are occupied."""
+    """Replace each particle's box by its number among the occupied boxes."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         cell[i] = number[cell[i]]
@@ -102,7 +102,7 @@ class CoarseSpace:
     """Cells, their matrix and its inverse.
 
     Args:
-        particles: What the cells hold.
+        particles: The particles in the cells.
     """
 
     def __init__(self, particles: Particles) -> None:
@@ -113,7 +113,7 @@ class CoarseSpace:
         self.placed_at = -_REBUILDS
         self.size = wp.zeros(1, dtype=int, device=self.device)
         """Rows of the matrix in use."""
-        # Cells of one or two particles cannot turn; a little inertia keeps them quiet.
+        # Cells of one or two particles have no definite turn; a little inertia keeps it small.
         ridge = [1e-6] * 3 + [0.1 * particles.spacing**2] * 3
         self.ridge = np.array(ridge) * particles.least_mass
         self._resize(1)
@@ -130,14 +130,14 @@ class CoarseSpace:
         else:
             self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
         self.sums = wp.zeros((parts, size), dtype=wp.float64, device=self.device)
-        # As above.
+        # Here too.
         self.modes = wp.zeros((parts, size + 2), dtype=float, device=self.device)
 
     def place_cells(self, rebuild_count: int) -> None:
         """Lay cells over the particles, unless they still lie well.
 
         Args:
-            rebuild_count: How often neighbour lists were filled: tells how far things moved.
+            rebuild_count: How often the neighbor lists were filled, a measure of motion.
         """
         if rebuild_count < self.placed_at + _REBUILDS:
             return
@@ -152,7 +152,7 @@ class CoarseSpace:
                 boxes = counts.astype(int)
                 occupants, sums = self._fill_boxes(low, extent, boxes)
                 occupied = np.flatnonzero(occupants)
-                if len(occupied) <= MOST_CELLS:
+                if len(occupied) <= MAX_CELLS:
                     break
             edge *= 1.25
         places = np.stack(np.unravel_index(occupied, boxes), 1)
@@ -171,14 +171,14 @@ class CoarseSpace:
         self.size.fill_(MODES * len(occupied))
 
     def release(self, resting: NDArray[np.int64]) -> None:
-        """Let go of particles that fell asleep, and lay the cells anew before the next solve."""
+        """Drop particles that fell asleep, and lay new cells before the next solve."""
         cell = self.cell.numpy().copy()
         cell[resting] = -1
         self.cell.assign(cell)
         self.placed_at = -_REBUILDS
 
     def snapshot(self) -> dict[str, NDArray]:
-        """How the cells lie."""
+        """The layout of the cells."""
         return {
             "coarse_cell": self.cell.numpy().copy(),
             "coarse_center": self.center.numpy().copy(),
@@ -186,7 +186,7 @@ class CoarseSpace:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore the state that `snapshot` returned."""
         if len(state["coarse_center"]) > len(self.center):
             self._resize(len(state["coarse_center"]))
         center = np.zeros((len(self.center), 3), np.float32)
@@ -197,7 +197,7 @@ class CoarseSpace:
         self.size.fill_(size)
 
     def _fill_boxes(self, low: NDArray, extent: NDArray, boxes: NDArray) -> tuple[NDArray, NDArray]:
-        """Count and sum up what lies in each box of a grid over the particles."""
+        """Count the particles in each box of a grid, and sum their positions."""
         total = int(np.prod(boxes))
         occupants = wp.zeros(total, dtype=int, device=self.device)
         sums = wp.zeros(total, dtype=wp.vec3, device=self.device)
@@ -237,7 +237,7 @@ class CoarseSpace:
             self.factor.take(self.size, self.center, self.ridge, self.matrix)
 
     def invert(self) -> None:
-        """Invert the coarse matrix on the host, for a graphics card; the CPU has done so."""
+        """Invert the coarse matrix on the host, for a graphics card; the CPU has its factor."""
         if self.device.is_cpu:
             return
         cells = int(self.size.numpy()[0]) // MODES
@@ -248,11 +248,11 @@ class CoarseSpace:
         self.inverse.assign(inverse)
 
     def solve(self, energy: wp.array, place: int) -> None:
-        """Find the cells' motions for the summed residual; `prolong` hands them to particles.
+        """Find the cells' motions for the summed residual; `prolong` maps them to particles.
 
         Args:
             energy: Residual times motion is added to it at ``place`` [J].
-            place: Where.
+            place: Column of ``energy``.
         """
         if self.device.is_cpu:
             self.factor.solve(self.size, self.sums, self.modes, energy, place)
@@ -266,11 +266,11 @@ class CoarseSpace:
 
 
 def join_blocks(matrix: NDArray[np.float32], center: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The coarse matrix from what `assemble` summed.
+    """The coarse matrix from the sums of `assemble`.
 
     Args:
-        matrix: Blocks as `assemble` left them.
-        center: Centres of the cells [m], shape [C, 3].
+        matrix: The blocks that `assemble` summed.
+        center: Centers of the cells [m], shape [C, 3].
 
     Returns:
         P^T A P, symmetric, shape [6 C, 6 C].
@@ -292,10 +292,10 @@ def join_blocks(matrix: NDArray[np.float32], center: NDArray[np.float32]) -> NDA
 
 
 def connected_groups(joined: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """A number for each group of cells that are joined, directly or through others.
+    """The group number of each cell; cells joined directly or through others share one.
 
     Args:
-        joined: Which pairs of cells are joined, each with itself too, shape [C, C].
+        joined: Whether two cells are joined, true on the diagonal, shape [C, C].
     """
     group = np.arange(len(joined))
     while True:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The coarse matrix on the CPU: summed by vector units, factored and solved in place.
 
-The same as `coarse_modes.assemble`, `coarse_space.join_blocks` and an inverse; tests compare.
+The same as `coarse_modes.assemble`, `coarse_space.join_blocks` and an inverse; tests compare them.
 """
 
 import numpy as np
@@ -79,8 +79,8 @@ def assemble(
     assemble_block(wp.tid(), awake, cell, center, position, own_block, pairs, matrix)
 
 
-# Cholesky's method. Cells come body by body, so a row begins no earlier than its body's first cell
-# stands; what lies before is zero and is skipped.
+# Cholesky factorization. Cells are ordered by connected group, so a row begins no earlier than the
+# first cell of its group; the entries before it are zero and are skipped.
 @wp.func_native("""{
     #pragma clang fp reassociate(on) contract(fast)
     const int n = size.data[0], cells = n / 6;
@@ -139,7 +139,7 @@ def assemble(
                 for (; k < j; k++) total -= row[k] * pivot[k];
                 if (j < i) row[j] = total * inverses.data[j];
                 else {
-                    // What nothing holds stays put.
+                    // A mode that nothing resists does not move.
                     row[i] = total;
                     inverses.data[i] = total > 1e-30 ? 1.0 / __builtin_sqrt(total) : 0.0;
                 }
@@ -227,7 +227,7 @@ def solve(
     energy: wp.array[wp.float64],
     place: int,
 ) -> None:
-    """Solve by the factor for the motions of the cells."""
+    """Solve for the motions of the cells with the factor."""
     solve_factored(size, lower, inverses, starts, work, sums, modes, energy, place)
 
 
@@ -235,8 +235,8 @@ class Factor:
     """The factored coarse matrix; each part of the particles factors and solves for itself.
 
     Args:
-        size: Most rows that it can have.
-        particles: Whose.
+        size: Largest number of rows.
+        particles: The particles in the cells.
     """
 
     def __init__(self, size: int, particles: Particles) -> None:
@@ -250,7 +250,7 @@ class Factor:
     def take(
         self, size: wp.array, center: wp.array, ridge: NDArray[np.float64], matrix: wp.array
     ) -> None:
-        """Factor what `assemble` summed; ``ridge`` is added to each cell's diagonal [kg, kg m²]."""
+        """Factor the sums of `assemble`; ``ridge`` is added to each cell's diagonal [kg, kg m²]."""
         self.particles.launch_once(
             factor,
             size,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preconditioned conjugate gradients for a Newton step of the pair forces and contacts.
 
-Sums over all particles are gathered by the passes that make their terms, one place for each
-iteration, so that an iteration is four passes: two of the product, `advance` and `turn`.
+Sums over all particles are gathered by the passes that compute their terms, one place for each
+iteration, so that an iteration takes four passes: two for the product, `advance` and `turn`.
 """
 
 import sys
@@ -11,7 +11,7 @@ import warp as wp
 
 from ...core.awake import Awake, awake_particle
 from ...core.particles import ByPart, Particles, zeros_with_room
-from ..law import Clay
+from ..law_data import SharedLaw
 from ..pairs.pairs import Pairs
 from ..pairs.products import motion
 from . import conjugate_gradients_cpu
@@ -21,7 +21,7 @@ from .data import Solve
 
 @wp.func
 def precondition(solve: Solve, part: int, i: int, residual: wp.vec3, iteration: int) -> None:
-    """Keep a particle's residual, and add it to the sums over all."""
+    """Store a particle's residual, and add it to the sums over all particles."""
     solve.residual[i] = residual
     z = solve.inverse[i] * residual
     solve.z[i] = z
@@ -41,11 +41,11 @@ def residual_size(solve: Solve, part: int, iteration: int) -> wp.float64:
 
 @wp.kernel(enable_backward=False)
 def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
-    """Begin from no change."""
+    """Start from zero change."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    # In units of its size: the determinant of a small particle's masses would vanish in float.
+    # Scaled to order one: the determinant of a small particle's block would underflow.
     scale = 1.0 / wp.trace(diagonal[i])
     solve.inverse[i] = wp.inverse(diagonal[i] * scale) * scale
     solve.change[i] = wp.vec3()
@@ -54,7 +54,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
 
 @wp.kernel(enable_backward=False)
 def turn(awake: Awake, iteration: int, solve: Solve) -> None:
-    """Make the next direction conjugate to the last."""
+    """Make the next search direction, conjugate to the last."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -70,7 +70,7 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
 
 @wp.kernel(enable_backward=False)
 def advance(awake: Awake, iteration: int, solve: Solve) -> None:
-    """Go along the direction to where the residual is least."""
+    """Move along the search direction to the minimum."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -87,7 +87,7 @@ def advance(awake: Awake, iteration: int, solve: Solve) -> None:
 
 @wp.kernel(enable_backward=False)
 def finish(awake: Awake, solve: Solve, velocity: wp.array[wp.vec3]) -> None:
-    """Add what the coarse space still finds, and take the whole change over."""
+    """Add the last correction of the coarse space, and apply the whole change."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -108,11 +108,11 @@ class ConjugateGradients:
     """Work arrays and the iteration.
 
     Args:
-        particles: Whose velocities to solve for.
-        most_iterations: How many there are at most.
+        particles: The particles whose velocities are solved for.
+        max_iterations: Largest number of iterations of a solve.
     """
 
-    def __init__(self, particles: Particles, most_iterations: int) -> None:
+    def __init__(self, particles: Particles, max_iterations: int) -> None:
         self.particles = particles
         count, device = particles.count, particles.device
         solve = Solve()
@@ -121,26 +121,26 @@ class ConjugateGradients:
         solve.direction = wp.zeros(count, dtype=wp.vec4, device=device)
         solve.inverse = zeros_with_room(count, wp.mat33, device)
         for name in ("size", "curvature", "coarse_size"):
-            shape = (particles.parts, most_iterations + 1)
+            shape = (particles.parts, max_iterations + 1)
             setattr(solve, name, wp.zeros(shape, dtype=wp.float64, device=device))
         solve.position = particles.position
         self.data = solve
 
     @property
     def residual(self) -> wp.array:
-        """Impulse still missing at each particle [N s]; to be filled before `solve`."""
+        """Impulse still missing at each particle [N s]. Fill it before `solve`."""
         return self.data.residual
 
     @property
     def change(self) -> wp.array:
-        """What the last solve changed of the velocities [m/s]."""
+        """How the last solve changed the velocities [m/s]."""
         return self.data.change
 
     def solve(
         self,
         iterations: int,
-        clay: Clay,
-        bodies: wp.array,
+        shared: SharedLaw,
+        particle_laws: wp.array,
         pairs: Pairs,
         diagonal: wp.array,
         own_block: wp.array,
@@ -149,9 +149,9 @@ class ConjugateGradients:
         """Change velocities so that the residual impulse goes to zero.
 
         Args:
-            iterations: How many.
-            clay: What all pairs share.
-            bodies: What particles of each material have of their own.
+            iterations: Number of iterations.
+            shared: What all pairs share.
+            particle_laws: The values of particles of each material.
             pairs: The acting pairs with their tangent.
             diagonal: Each particle's block of the tangent [kg], contacts included.
             own_block: Mass and contacts alone [kg].
@@ -170,8 +170,8 @@ class ConjugateGradients:
         for iteration in range(iterations):
             launch(passes.turn, iteration, data)
             pairs.multiply(
-                clay,
-                bodies,
+                shared,
+                particle_laws,
                 own_block,
                 data.direction,
                 data.product,

@@ -42,8 +42,8 @@ _CELLS = """
     };
 """
 
-# Neighbours mostly share a cell: its sums are kept at hand until another comes, in single precision
-# over the few particles of a block.
+# Neighbors mostly share a cell: its sums are kept in registers until another cell comes, in single
+# precision over the few particles of a block.
 _PRECONDITION = """
     f4 sizes = (f4)(0.f), shift = (f4)(0.f), turn = (f4)(0.f);
     int at_hand = -1;

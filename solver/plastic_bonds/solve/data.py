@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the passes of conjugate gradients share."""
+"""The work arrays that the passes of conjugate gradients share."""
 
 import warp as wp
 
 
 @wp.struct
 class Solve:
-    """What the passes share."""
+    """Work arrays of a solve."""
 
     residual: wp.array[wp.vec3]
     """Impulse still missing [N s]."""
@@ -15,18 +15,21 @@ class Solve:
     z: wp.array[wp.vec3]
     """The residual preconditioned by blocks [m/s]."""
     direction: wp.array[wp.vec4]
-    """Direction of search [m/s], and by how much it changes a compressed particle's pressure
-    [kg m/s]."""
+    """Search direction [m/s], and by how much it changes a compressed particle's pressure
+    [kg m²/s]."""
     product: wp.array[wp.vec3]
+    """Search direction times tangent [N s]."""
     change: wp.array[wp.vec3]
-    """What the solve changes of the velocities [m/s]."""
+    """How the solve changes the velocities [m/s]."""
     size: wp.array2d[wp.float64]
     """Preconditioned square of the residual by part and iteration [J], without its coarse part."""
     curvature: wp.array2d[wp.float64]
     """Energy of the direction by part and iteration [J]."""
     position: wp.array[wp.vec3]
     cell: wp.array[int]
+    """Coarse cell of each particle."""
     center: wp.array[wp.vec3]
+    """Of each coarse cell [m]."""
     sums: wp.array2d[wp.float64]
     """The residual restricted to the coarse modes, by part."""
     modes: wp.array2d[float]

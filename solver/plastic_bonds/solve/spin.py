@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The spin of coarse cells, with which a substep's first guess of velocities turns.
+"""The spin of coarse cells: a substep's initial guess of the velocities turns with it.
 
 In a turning body every velocity changes its direction in a substep. A guess that does not turn
-stretches all bonds by the square of the angle: at 0.13 rad, 300 rpm, by nearly a hundredth, as much
-as makes soft clay flow. So velocities are turned with their cell before anything yields by them.
-Only the guess is: what the solve finds is the same.
+stretches all bonds by half the square of the angle: at 0.13 rad (300 rpm) by nearly a hundredth,
+enough to make soft clay flow. So velocities are turned with their cell before anything yields.
+This affects only the guess; the solution is the same.
 """
 
 import numpy as np
@@ -16,8 +16,8 @@ from ...core.particles import Particles
 from ...core.vector_units import BLOCK
 from .coarse_space import CoarseSpace
 
-LEAST_ANGLE = 0.01
-"""Cells that turn by less in a substep are left alone [rad]."""
+MIN_ANGLE = 0.01
+"""Cells that turn by less than this in a substep are left alone [rad]."""
 _SUMS = 16
 
 
@@ -30,7 +30,7 @@ def sum_motion(
     velocity: wp.array[wp.vec3],
     sums: wp.array2d[float],
 ) -> None:
-    """Sum up count, arm, velocity, moment and second moments of each cell's particles."""
+    """Sum count, arms, velocities, moments and second moments of each cell's particles."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -79,7 +79,7 @@ class Spin:
     """How coarse cells turn.
 
     Args:
-        particles: What the cells hold.
+        particles: The particles in the cells.
         coarse: The cells.
     """
 
@@ -87,7 +87,7 @@ class Spin:
         self.particles = particles
         self.coarse = coarse
         self.rate = np.zeros((0, 3))
-        """Of each cell [rad/s], shape [C, 3]."""
+        """Spin of each cell [rad/s], shape [C, 3]."""
         self._turn = wp.zeros(0, dtype=wp.quat, device=particles.device)
         self._time_step = 0.0
 
@@ -105,12 +105,12 @@ class Spin:
             self._turn = wp.zeros(cells, dtype=wp.quat, device=particles.device)
 
     def prepare(self, time_step: float) -> bool:
-        """Get ready for a substep of ``time_step`` [s], and say whether anything turns in it."""
+        """Prepare a substep of ``time_step`` [s]; whether anything turns in it."""
         angle = np.linalg.norm(self.rate, axis=1) * time_step
-        if not (angle > LEAST_ANGLE).any():
+        if not (angle > MIN_ANGLE).any():
             return False
         if time_step != self._time_step:
-            half = 0.5 * np.where(angle > LEAST_ANGLE, angle, 0.0)[:, None]
+            half = 0.5 * np.where(angle > MIN_ANGLE, angle, 0.0)[:, None]
             axis = self.rate * (time_step / np.maximum(angle, 1e-30)[:, None])
             turn = np.concatenate([np.sin(half) * axis, np.cos(half)], axis=1)
             self._turn.assign(turn.astype(np.float32))
@@ -118,7 +118,7 @@ class Spin:
         return True
 
     def turn(self) -> None:
-        """Turn the velocities; `prepare` comes first."""
+        """Turn the velocities. Call `prepare` first."""
         self.particles.run(
             turn_velocities,
             turn_velocities_of_block,
@@ -132,8 +132,8 @@ def spin_rates(sums: NDArray[np.float64], spacing: float) -> NDArray[np.float64]
     """Rates at which cells turn [rad/s], shape [C, 3].
 
     Args:
-        sums: What `sum_motion` summed, shape [C, 16].
-        spacing: Of the particles [m].
+        sums: The sums of `sum_motion`, shape [C, 16].
+        spacing: Spacing of the particles [m].
     """
     count = np.maximum(sums[:, 15:], 1.0)
     arm, velocity = sums[:, :3], sums[:, 3:6]
@@ -145,6 +145,6 @@ def spin_rates(sums: NDArray[np.float64], spacing: float) -> NDArray[np.float64]
         second[:, axis, other] = second[:, other, axis] = sums[:, 12 + axis]
     second -= arm[:, :, None] * arm[:, None] / count[:, None]
     trace = np.trace(second, axis1=1, axis2=2)[:, None, None]
-    # A single particle, or a row of them, cannot be told how it turns: it shall not.
+    # The spin of a single particle or a straight row is undetermined; this makes it zero.
     inertia = trace * np.eye(3) - second + (0.1 * spacing**2) * np.eye(3)
     return np.linalg.solve(inertia, moment[:, :, None])[:, :, 0]

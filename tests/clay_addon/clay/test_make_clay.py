@@ -10,7 +10,8 @@ import pytest
 from mathutils import Matrix
 
 from tactile_clay.clay_addon.clay import make_clay as module
-from tactile_clay.clay_addon.clay.make_clay import ClayError, make_clay
+from tactile_clay.clay_addon.clay.make_clay import make_clay
+from tactile_clay.clay_addon.clay.meshes import ClayError
 
 
 def test_block_becomes_a_point_cloud_of_its_volume(studio: Any) -> None:

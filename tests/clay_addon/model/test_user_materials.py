@@ -124,7 +124,7 @@ def test_folder_that_cannot_be_written_is_named(
         ("[material]\ndensity = 'heavy'\n", "density is 'heavy'; it must be a number"),
         ("[material]\ndensity = -1\n", r"bad\.toml: Material.density is -1"),
         ("[material]\ndensity = 0.5\n", r"bad\.toml: density is 0\.5; it must be at least 1"),
-        ("[material]\nflow_index = 0.5\n", r"bad\.toml: flow_index is not among"),
+        ("[material]\nflow_index = 0.01\n", r"bad\.toml: flow_index is 0\.01; it must be at"),
         ("label = 7\n" + GOOD, r"bad\.toml: label is 7"),
     ],
 )

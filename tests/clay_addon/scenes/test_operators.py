@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tactile_clay.clay_addon.clay.make_clay import ClayError
+from tactile_clay.clay_addon.clay.meshes import ClayError
 from tactile_clay.clay_addon.model.clay_scene import clay_objects, collider_objects
 from tactile_clay.clay_addon.scenes import kindergarten
 from tactile_clay.clay_addon.scenes import operators as scene_operators

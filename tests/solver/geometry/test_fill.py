@@ -88,3 +88,28 @@ def test_too_small_and_too_large_are_refused_with_advice():
         fill_mesh(ball.vertices, ball.faces, 0.005)
     with pytest.raises(MeshError, match="units"):
         fill_mesh(ball.vertices * 1e6, ball.faces, 0.005)
+
+
+@given(
+    shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
+    far=st.sampled_from([0.0, 10.0, 100.0]),
+    turn=st.floats(0, 3),
+)
+@settings(max_examples=20, deadline=None)
+def test_volume_is_right_wherever_a_mesh_lies(
+    shift: tuple[float, float, float], far: float, turn: float
+):
+    """Hold the volume to half a particle at any place and angle, up to 100 m away."""
+    shape = trimesh.creation.box((0.031, 0.043, 0.027))
+    shape.apply_transform(trimesh.transformations.rotation_matrix(turn, (0.3, 1.0, 0.2)))
+    shape.apply_translation(np.array(shift) + far)
+    points = fill_mesh(shape.vertices, shape.faces, 0.003)
+    assert abs(len(points) - 0.031 * 0.043 * 0.027 / 0.003**3) < 0.51
+
+
+def test_bodies_far_apart_cost_no_more_than_near_ones():
+    """Fill two balls a kilometer apart with what each needs."""
+    one = trimesh.creation.icosphere(radius=0.02)
+    both = trimesh.util.concatenate([one, one.copy().apply_translation((1000.0, 700.0, 0))])
+    points = fill_mesh(both.vertices, both.faces, 0.004)
+    assert len(points) == pytest.approx(2 * one.volume / 0.004**3, abs=1)

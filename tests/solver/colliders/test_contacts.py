@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_clay.solver import Material, Scene, Solver
-from tactile_clay.solver.colliders.colliders import _quaternion
+from tactile_clay.solver.colliders.shape import _quaternion
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005

@@ -8,14 +8,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ..colliders.colliders import MeshColliders, PlaneColliders
-from ..core.particles import ByPart, Particles
-from ..plastic_bonds.cutting import cut_bonds, cut_bonds_of_block
-from ..plastic_bonds.pairs.rows import PairRows
-from ..scene.hand import Hand
-from ..scene.scene import MeshCollider, Plane, Scene
-from . import contacts_cpu as contact_cpu
-from .law import (
+from ..contact import passes_cpu
+from ..contact.law import (
     DEPENETRATION_SPEED,
     MOST_CONTACTS,
     ContactPass,
@@ -25,7 +19,12 @@ from .law import (
     settle_all_contacts,
     wake_contacts,
 )
-from .search import Surroundings, find_all_contacts
+from ..contact.search import Surroundings, find_all_contacts
+from ..core.particles import ByPart, Particles
+from ..scene.hand import Hand
+from ..scene.scene import MeshCollider, Plane, Scene
+from .meshes import MeshColliders
+from .planes import PlaneColliders
 
 
 class Contacts:
@@ -51,7 +50,8 @@ class Contacts:
         self.meshes = MeshColliders(scene, particles) if scene.meshes or scene.hands else None
         self.time_step = 0.0
         """Length of the last substep [s]."""
-        self._plane_count = len(scene.planes)
+        self.plane_count = len(scene.planes)
+        """Planes come first among the colliders."""
         rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
         slots = ContactSlots()
         for name, dtype in (
@@ -93,9 +93,10 @@ class Contacts:
         slots.count = wp.zeros(rows[0], dtype=int, device=device)
         slots.count_before = wp.zeros(rows[0], dtype=int, device=device)
         self.slots = slots
-        table = np.zeros((max(len(particles.materials), 1), max(len(self.colliders), 1)))
+        materials, _ = scene.materials()
+        table = np.zeros((max(len(materials), 1), max(len(self.colliders), 1)))
         if friction:
-            for row, material in enumerate(particles.materials):
+            for row, material in enumerate(materials):
                 for column, collider in enumerate(self.colliders):
                     table[row, column] = math.sqrt(material.friction * collider.friction)
         self._full_friction = table
@@ -122,7 +123,7 @@ class Contacts:
                 setattr(around, name, getattr(self.meshes, name))
         self._surroundings = around
         self._near = (
-            ByPart(contact_cpu.make_near(particles.count, device) for _ in range(particles.parts))
+            ByPart(passes_cpu.make_near(particles.count, device) for _ in range(particles.parts))
             if device.is_cpu
             else None
         )
@@ -197,20 +198,14 @@ class Contacts:
         if self.meshes:
             # Arrays may have given way to larger ones.
             around.pose = self.meshes.pose
-        self._launch(
-            (find_all_contacts, contact_cpu.find_all_contacts),
+        self.launch(
+            (find_all_contacts, passes_cpu.find_all_contacts),
             common,
             around,
             self.particles.position,
             self.particles.velocity,
             self.slots,
         )
-
-    def cut(self, pairs: PairRows) -> None:
-        """Break bonds across meshes thinner than they are long; `find` comes first."""
-        if self.meshes:
-            kernels = (cut_bonds, cut_bonds_of_block)
-            self._launch(kernels, self._plane_count, self.particles.position, self.slots, pairs)
 
     def press(
         self,
@@ -230,8 +225,8 @@ class Contacts:
             own_block: Mass and contacts alone [kg], written where there may be contacts.
         """
         particles = self.particles
-        self._launch(
-            (press_all_contacts, contact_cpu.press_all_contacts),
+        self.launch(
+            (press_all_contacts, passes_cpu.press_all_contacts),
             common,
             self.friction,
             particles.material,
@@ -251,8 +246,8 @@ class Contacts:
             common: The substep.
             change: What the last solve changed of the velocities [m/s].
         """
-        self._launch(
-            (settle_all_contacts, contact_cpu.settle_all_contacts),
+        self.launch(
+            (settle_all_contacts, passes_cpu.settle_all_contacts),
             common,
             self.friction,
             self.particles.material,
@@ -263,7 +258,7 @@ class Contacts:
             ByPart.rows(self.deepest),
         )
 
-    def _launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
+    def launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
         """Run a pass, by the plain kernel or the CPU's; nothing where there are no colliders."""
         if not self.colliders:
             return

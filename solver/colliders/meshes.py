@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colliders on the device: where planes stand, and the way of meshes through a step."""
+"""Mesh colliders and hands on the device, and their way through a step."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +9,17 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..core.particles import Particles
-from ..geometry.polar import rotation_and_stretch
-from ..scene.scene import MeshCollider, Plane, Scene
+from ..scene.scene import MeshCollider, Scene
 from ..soft_hand.soft_hand import SoftHand
+from .shape import (
+    ColliderShape,
+    box_corners,
+    box_diagonal,
+    longest,
+    poses_between,
+    rotation_vector,
+    shape_of,
+)
 
 OUT_OF_REACH = 1.0e6
 """Clearance of a mesh or hand that cannot be touched [m]."""
@@ -32,75 +40,13 @@ def blend_vertices(
     points[i] = start[i] + (end[i] - start[i]) * fraction
 
 
-class PlaneColliders:
-    """All planes of a scene.
-
-    Args:
-        planes: The planes.
-        device: Warp device.
-    """
-
-    def __init__(self, planes: list[Plane], device: wp.Device) -> None:
-        points = np.array([plane.point for plane in planes], np.float32)
-        normals = np.array([plane.normal for plane in planes], np.float32)
-        self.point = wp.array(points, dtype=wp.vec3, device=device)
-        self.normal = wp.array(normals, dtype=wp.vec3, device=device)
-
-
-@dataclass
-class _Shape:
-    """Where a mesh collider stands, and what it looks like there."""
-
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
-    vertices: NDArray[np.float64]
-    """Stretched, in the frame that moves with the collider [m], shape [V, 3]."""
-    corners: NDArray[np.float64]
-    """Of their box, shape [8, 3]."""
-    orientation: float
-    """-1 where the pose mirrors."""
-    version: int
-    """`MeshCollider.shape_version`."""
-
-    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the moving frame in the world."""
-        return points @ self.rotation.T + self.translation
-
-
-def _shape_of(collider: MeshCollider, before: _Shape | None) -> _Shape:
-    """Split a pose into rotation, translation and stretched vertices (polar decomposition)."""
-    translation = collider.pose[:3, 3].copy()
-    if before and before.version == collider.shape_version:
-        return replace(before, translation=translation)
-    rotation, stretch = rotation_and_stretch(collider.pose[:3, :3])
-    vertices = collider.vertices @ stretch.T
-    if before and vertices.shape == before.vertices.shape:
-        tolerance = 1e-6 * _size(before.corners)
-        if np.abs(vertices - before.vertices).max() <= tolerance:
-            # It only turned: keep the very same vertices, so that the mesh need not be refitted.
-            vertices = before.vertices
-    orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
-    version = collider.shape_version
-    return _Shape(rotation, translation, vertices, _corners(vertices), orientation, version)
-
-
-_UPPER = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
-
-
-def _corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of a box around vertices [m], shape [8, 3]."""
-    # Extremes of many short rows are slow to find; of three long ones they are not.
-    axes = vertices.T.copy()
-    return np.where(_UPPER, axes.max(1), axes.min(1))
-
-
 @dataclass
 class _MovingMesh:
     """One mesh collider on the device, and where it stood at the end of the last step."""
 
     collider: MeshCollider
     mesh: wp.Mesh
-    shape: _Shape
+    shape: ColliderShape
     start: wp.array | None = None
     end: wp.array | None = None
     enabled: bool = True
@@ -135,7 +81,7 @@ class MeshColliders:
         self.device = device = particles.device
         self.moving: list[_MovingMesh] = []
         for collider in scene.meshes:
-            shape = _shape_of(collider, None)
+            shape = shape_of(collider, None)
             mesh = _make_mesh(collider, shape, device)
             self.moving.append(_MovingMesh(collider, mesh, shape, enabled=collider.enabled))
         count = len(scene.meshes) + len(scene.hands)
@@ -152,7 +98,7 @@ class MeshColliders:
         self.substep = wp.zeros(1, dtype=int, device=device)
         """Which of a step's substeps is under way; on the device, so that it can be recorded."""
         self.clearance = wp.zeros((count, particles.count), dtype=float, device=device)
-        self._targets: list[_Shape] = []
+        self._targets: list[ColliderShape] = []
         faces = [len(hand.rig.faces) for hand in scene.hands]
         begin = np.concatenate([[0], np.cumsum(faces)]).astype(int)
         first_face = [-1] * len(scene.meshes) + begin[:-1].tolist()
@@ -197,7 +143,7 @@ class MeshColliders:
         motions = []
         boxes = []
         for moving in self.moving:
-            begin, end = moving.shape, _shape_of(moving.collider, moving.shape)
+            begin, end = moving.shape, shape_of(moving.collider, moving.shape)
             self._targets.append(end)
             if not (moving.enabled and moving.collider.enabled):
                 # It is nowhere, or comes or goes where it is: that disturbs what it touches there.
@@ -207,9 +153,9 @@ class MeshColliders:
                 boxes.append(np.array([corners.min(0), corners.max(0)]))
                 continue
             # An affine motion takes no point of a box farther than the farthest corner.
-            motion = _longest(end.moved(begin.corners) - begin.moved(begin.corners))
+            motion = longest(end.moved(begin.corners) - begin.moved(begin.corners))
             if end.vertices is not begin.vertices or motion > ignored:
-                motion = _longest(end.moved(end.vertices) - begin.moved(begin.vertices))
+                motion = longest(end.moved(end.vertices) - begin.moved(begin.vertices))
             motions.append(motion)
             swept = np.concatenate([begin.moved(begin.corners), end.moved(end.corners)])
             boxes.append(np.array([swept.min(0), swept.max(0)]))
@@ -231,7 +177,7 @@ class MeshColliders:
         begin = moving.shape
         first, last = begin.moved(begin.vertices), end.moved(end.vertices)
         # By its velocity: from end to end the rim of a wheel would seem to cut through it.
-        turn = _rotation_vector(end.rotation @ begin.rotation.T)
+        turn = rotation_vector(end.rotation @ begin.rotation.T)
         shift = end.translation - begin.translation
         change = (end.vertices - begin.vertices) if end.vertices is not begin.vertices else None
         faces = moving.collider.faces
@@ -242,7 +188,7 @@ class MeshColliders:
         for shape, points in ((begin, first), (end, last)):
             way = shift + np.cross(turn, points - shape.translation)
             if change is not None:
-                change_across = _longest(change)
+                change_across = longest(change)
                 way = way + change @ shape.rotation.T
             corners = points[faces]
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -250,9 +196,9 @@ class MeshColliders:
             drive = np.abs(np.einsum("fkd,fd->fk", way[faces], normal)).max(1, initial=0.0)
             along = max(along, float((drive / np.maximum(size, 1e-30)).max(initial=0.0)))
             # What is rigid moves no faster anywhere in a box than at its fastest corner.
-            inside = np.clip(_corners(points), *clay)
-            slide = _longest(shift + np.cross(turn, inside - shape.translation)) + change_across
-            across = max(across, min(slide, _longest(way)))
+            inside = np.clip(box_corners(points), *clay)
+            slide = longest(shift + np.cross(turn, inside - shape.translation)) + change_across
+            across = max(across, min(slide, longest(way)))
         return Sweep(along, across, float(np.linalg.norm(turn)))
 
     def begin_step(
@@ -288,14 +234,14 @@ class MeshColliders:
             self._show(which, present=moving.enabled, jumps=not sweeps)
             if turned:
                 moving.mesh = _make_mesh(moving.collider, target, self.device)
-            poses[which] = _way(before, target, substeps)
+            poses[which] = poses_between(before, target, substeps)
             turning[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
             if not sweeps:
                 travel[which] = 0.0
             elif turning[which] or self._turned[which]:
                 travel[which] = 0.0
                 if target.vertices is not before.vertices:
-                    travel[which] = _longest(target.vertices - before.vertices) / substeps
+                    travel[which] = longest(target.vertices - before.vertices) / substeps
             if target.vertices is not before.vertices:
                 moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
                 moving.end = wp.array(target.vertices, dtype=wp.vec3, device=self.device)
@@ -307,7 +253,7 @@ class MeshColliders:
                 moving.mesh.points.assign(target.vertices.astype(np.float32))
                 moving.mesh.refit()
                 moving.start = moving.end = None
-            reach[which] = 0.5 * _size(target.corners)
+            reach[which] = 0.5 * box_diagonal(target.corners)
             moving.shape = target
             if turned:
                 self._tell_meshes()
@@ -380,11 +326,11 @@ class MeshColliders:
         self._contactless = state["collider_contactless"].tolist()
         for which, moving in enumerate(self.moving):
             vertices = state[f"collider_{which}_vertices"].copy()
-            moving.shape = _Shape(
+            moving.shape = ColliderShape(
                 state[f"collider_{which}_rotation"].copy(),
                 state[f"collider_{which}_translation"].copy(),
                 vertices,
-                _corners(vertices),
+                box_corners(vertices),
                 float(state[f"collider_{which}_orientation"]),
                 -1,
             )
@@ -396,7 +342,7 @@ class MeshColliders:
             hand.restore(state)
 
 
-def _make_mesh(collider: MeshCollider, shape: _Shape, device: wp.Device) -> wp.Mesh:
+def _make_mesh(collider: MeshCollider, shape: ColliderShape, device: wp.Device) -> wp.Mesh:
     """The mesh on the device; a mirrored one is turned outside out again."""
     faces = collider.faces if shape.orientation > 0.0 else collider.faces[:, ::-1]
     return wp.Mesh(
@@ -405,67 +351,3 @@ def _make_mesh(collider: MeshCollider, shape: _Shape, device: wp.Device) -> wp.M
         velocities=wp.zeros(len(shape.vertices), dtype=wp.vec3, device=device),
         support_winding_number=True,
     )
-
-
-def _way(start: _Shape, end: _Shape, substeps: int) -> NDArray[np.float32]:
-    """Poses from start to end: straight, at constant angular velocity; shape [S + 1, 7]."""
-    fraction = np.linspace(0.0, 1.0, substeps + 1)[:, None]
-    first = _quaternion(start.rotation)
-    last = first if end.rotation is start.rotation else _quaternion(end.rotation)
-    cosine = float(first @ last)
-    if cosine < 0.0:
-        last, cosine = -last, -cosine
-    angle = np.arccos(min(cosine, 1.0))
-    if angle < 1e-6:
-        turn = first + (last - first) * fraction
-    else:
-        turn = (np.sin((1.0 - fraction) * angle) * first + np.sin(fraction * angle) * last) / (
-            np.sin(angle)
-        )
-    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    place = start.translation + (end.translation - start.translation) * fraction
-    return np.concatenate([place, turn], axis=1).astype(np.float32)
-
-
-def _rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Axis of a rotation matrix, as long as its angle [rad]."""
-    quaternion = _quaternion(rotation)
-    length = float(np.linalg.norm(quaternion[:3]))
-    if length < 1e-12:
-        return np.zeros(3)
-    angle = 2.0 * np.arctan2(length, abs(quaternion[3]))
-    return quaternion[:3] * (angle / length * (1.0 if quaternion[3] >= 0.0 else -1.0))
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit quaternion (x, y, z, w) of a rotation matrix, by its dominant component."""
-    m = rotation
-    squares = np.array(
-        [
-            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
-            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
-        ]
-    )
-    largest = int(np.argmax(squares))
-    rows = np.array(
-        [
-            [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-            [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
-            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
-        ]
-    )
-    quaternion = rows[largest]
-    return quaternion / np.linalg.norm(quaternion)
-
-
-def _size(corners: NDArray[np.float64]) -> float:
-    """Length of a box's diagonal [m]."""
-    return float(np.linalg.norm(corners[-1] - corners[0]))
-
-
-def _longest(vectors: NDArray[np.float64]) -> float:
-    """Length of the longest of some vectors [m]."""
-    return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max()))

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The closed meshes that become clay: taken from objects, checked, and filled with particles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...solver.geometry.closed_mesh import ClosedMesh, MeshError, closed_mesh, mesh_volume
+from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..core.surface.particle_grid import ParticleGrid
+
+PARTICLE_COUNT_LIMIT = 1_000_000
+"""More particles than this in one object are taken for a slip of the hand."""
+
+PARTICLE_COUNT_LEAST = 8
+"""Fewer particles than this cannot deform like clay."""
+
+
+class ClayError(Exception):
+    """Something cannot become clay; the message says what is wrong and what to do."""
+
+
+class Piece(NamedTuple):
+    """A closed mesh that becomes clay."""
+
+    name: str
+    """Of its object."""
+    mesh: ClosedMesh
+    """In the world [Blender units]."""
+
+    @property
+    def volume(self) -> float:
+        """What it holds [Blender units³]; where its bodies overlap, twice."""
+        return mesh_volume(self.mesh.vertices, self.mesh.faces)
+
+
+class FilledPieces(NamedTuple):
+    """Particles in pieces of clay, and what a person should know of how they came there."""
+
+    points: list[NDArray[np.float32]]
+    """Of each piece [Blender units], shape [N, 3]."""
+    notes: list[str]
+    """Each as a sentence that names the object."""
+
+
+def closed_pieces(
+    objects: Sequence[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+) -> list[Piece]:
+    """The closed mesh of each object.
+
+    Raises:
+        ClayError: An object cannot become clay; the message names it and the reason.
+    """
+    pieces = []
+    for item in objects:
+        if item.type != "MESH":
+            already = item.tactile_clay.role == "CLAY"
+            what = "is clay already" if already else f"is no mesh ({item.type.lower()})"
+            if item.type == "EMPTY" and item.instance_collection is not None:
+                raise ClayError(
+                    f"{item.name!r} shows instances of a collection. Make meshes of them first "
+                    "(Object > Apply > Make Instances Real)."
+                )
+            raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
+        if item.tactile_clay.role == "COLLIDER":
+            raise ClayError(
+                f"{item.name!r} is a collider. Leave it out of the selection, or press Remove "
+                "Collider first."
+            )
+        if item.tactile_clay.role == "HAND":
+            raise ClayError(
+                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove "
+                "Clay Hand first."
+            )
+        if item.library is not None:
+            raise ClayError(
+                f"{item.name!r} is linked from another file, so it cannot be hidden in renders. "
+                "Make it local first (Object > Relations > Make Local)."
+            )
+        if item.mode == "EDIT":
+            raise ClayError(f"{item.name!r} is being edited. Leave Edit Mode first (Tab).")
+        if is_switched_off(item, depsgraph):
+            raise ClayError(f"{item.name!r} {SWITCHED_OFF}")
+        vertices, triangles = evaluated_mesh(item, depsgraph)
+        matrix = item.evaluated_get(depsgraph).matrix_world
+        try:
+            mesh = closed_mesh(
+                transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+            )
+        except MeshError as error:
+            raise ClayError(str(error)) from error
+        pieces.append(Piece(item.name, mesh))
+    return pieces
+
+
+def check_particle_count(pieces: list[Piece], spacing: float, scene: bpy.types.Scene) -> None:
+    """Refuse pieces that would be far too many particles, or too few to be clay.
+
+    Raises:
+        ClayError: The message names a spacing that would do.
+    """
+    volumes = [piece.volume for piece in pieces]
+    total = sum(volumes)
+    if total / spacing**3 > PARTICLE_COUNT_LIMIT:
+        raise ClayError(
+            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are "
+            f"the most. Use a spacing of at least "
+            f"{_length(_rounded(total / PARTICLE_COUNT_LIMIT, up=True), scene)}, or check the "
+            "size of the meshes."
+        )
+    for (name, _), volume in zip(pieces, volumes, strict=True):
+        if round(volume / spacing**3) < PARTICLE_COUNT_LEAST:
+            raise ClayError(
+                f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
+                f"{round(volume / spacing**3)} particles. Use a spacing of at most "
+                f"{_length(_rounded(volume / 200, up=False), scene)}, or a larger mesh."
+            )
+
+
+def check_place(pieces: list[Piece], spacing: float) -> None:
+    """Refuse pieces that are too far from the origin for single precision.
+
+    Raises:
+        ClayError: The message names the object.
+    """
+    for name, mesh in pieces:
+        # The step of single precision at the farthest coordinate.
+        if np.spacing(np.float32(np.abs(mesh.vertices).max())) > 0.01 * spacing:
+            raise ClayError(
+                f"{name!r} lies so far from the world's origin that single precision blurs its "
+                "particles. Move it closer to the origin."
+            )
+
+
+def fill_pieces(
+    pieces: list[Piece],
+    spacing: float,
+    scene: bpy.types.Scene,
+    *,
+    follow_thin_walls: bool = False,
+) -> FilledPieces:
+    """Particles of each piece, without those that an earlier piece has already.
+
+    Args:
+        pieces: What to fill.
+        spacing: Distance between particles [Blender units].
+        scene: Its unit scale counts.
+        follow_thin_walls: Whether walls too thin for the spacing get one layer of particles.
+
+    Raises:
+        ClayError: A piece cannot be filled.
+    """
+    from ...solver.geometry.fill import fill
+
+    # The solver's messages speak of metres, so that is what it is given.
+    scale = scene.unit_settings.scale_length
+    filled: list[NDArray[np.float32]] = []
+    notes = []
+    for index, (name, mesh) in enumerate(pieces):
+        in_meters = replace(mesh, vertices=mesh.vertices * scale)
+        try:
+            filling = fill(
+                in_meters, spacing * scale, name=repr(name), follow_thin_walls=follow_thin_walls
+            )
+        except (MeshError, ValueError) as error:
+            raise ClayError(str(error)) from error
+        points = filling.points.astype(np.float64) / scale
+        for (_, other), particles in zip(pieces[:index], filled, strict=True):
+            points = points[~_occupied(points, other, particles, spacing)]
+        filled.append(points.astype(np.float32))
+        notes += [f"{name!r}: {note}" for note in filling.notes]
+    return FilledPieces(filled, notes)
+
+
+def _occupied(
+    points: NDArray[np.float64],
+    mesh: ClosedMesh,
+    particles: NDArray[np.float32],
+    spacing: float,
+) -> NDArray[np.bool_]:
+    """Which points lie inside a mesh, or closer than half a spacing to its particles."""
+    from ...solver.geometry.inside import is_inside
+
+    taken = np.zeros(len(points), bool)
+    low, high = mesh.vertices.min(0) - spacing, mesh.vertices.max(0) + spacing
+    near = np.flatnonzero((points >= low).all(1) & (points <= high).all(1))
+    if not len(near) or not len(particles):
+        return taken
+    grid = ParticleGrid(particles.astype(np.float64), 0.5 * spacing)
+    taken[near] = grid.nearest(points[near]) >= 0
+    left = near[~taken[near]]
+    taken[left] = is_inside(points[left], mesh)
+    return taken
+
+
+def _rounded(cell_volume: float, *, up: bool) -> float:
+    """Edge of a cubic cell, rounded to two digits."""
+    edge = cell_volume ** (1 / 3)
+    step = 10.0 ** (math.floor(math.log10(edge)) - 1)
+    # Single precision makes a round edge a little longer or shorter.
+    return (math.ceil(edge / step - 1e-4) if up else math.floor(edge / step + 1e-4)) * step
+
+
+def _about(count: float) -> str:
+    step = 10 ** max(0, math.floor(math.log10(count)) - 2)
+    return f"{round(count / step) * step:,}"
+
+
+def _length(value: float, scene: bpy.types.Scene) -> str:
+    meters = value * scene.unit_settings.scale_length
+    if meters >= 1:
+        return f"{meters:.3g} m"
+    return f"{meters * 1e3:.3g} mm"

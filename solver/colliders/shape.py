@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The shape of a mesh collider where it stands, and its way from one place to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.polar import rotation_and_stretch
+from ..scene.scene import MeshCollider
+
+
+@dataclass
+class ColliderShape:
+    """Where a mesh collider stands, and what it looks like there."""
+
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    vertices: NDArray[np.float64]
+    """Stretched, in the frame that moves with the collider [m], shape [V, 3]."""
+    corners: NDArray[np.float64]
+    """Of their box, shape [8, 3]."""
+    orientation: float
+    """-1 where the pose mirrors."""
+    version: int
+    """`MeshCollider.shape_version`."""
+
+    def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points of the moving frame in the world."""
+        return points @ self.rotation.T + self.translation
+
+
+def shape_of(collider: MeshCollider, before: ColliderShape | None) -> ColliderShape:
+    """Split a pose into rotation, translation and stretched vertices (polar decomposition)."""
+    translation = collider.pose[:3, 3].copy()
+    if before and before.version == collider.shape_version:
+        return replace(before, translation=translation)
+    rotation, stretch = rotation_and_stretch(collider.pose[:3, :3])
+    vertices = collider.vertices @ stretch.T
+    if before and vertices.shape == before.vertices.shape:
+        tolerance = 1e-6 * box_diagonal(before.corners)
+        if np.abs(vertices - before.vertices).max() <= tolerance:
+            # It only turned: keep the very same vertices, so that the mesh need not be refitted.
+            vertices = before.vertices
+    orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
+    version = collider.shape_version
+    return ColliderShape(
+        rotation, translation, vertices, box_corners(vertices), orientation, version
+    )
+
+
+_UPPER = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bool)
+
+
+def box_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a box around vertices [m], shape [8, 3]."""
+    # Extremes of many short rows are slow to find; of three long ones they are not.
+    axes = vertices.T.copy()
+    return np.where(_UPPER, axes.max(1), axes.min(1))
+
+
+def poses_between(start: ColliderShape, end: ColliderShape, substeps: int) -> NDArray[np.float32]:
+    """Poses from start to end: straight, at constant angular velocity; shape [S + 1, 7]."""
+    fraction = np.linspace(0.0, 1.0, substeps + 1)[:, None]
+    first = _quaternion(start.rotation)
+    last = first if end.rotation is start.rotation else _quaternion(end.rotation)
+    cosine = float(first @ last)
+    if cosine < 0.0:
+        last, cosine = -last, -cosine
+    angle = np.arccos(min(cosine, 1.0))
+    if angle < 1e-6:
+        turn = first + (last - first) * fraction
+    else:
+        turn = (np.sin((1.0 - fraction) * angle) * first + np.sin(fraction * angle) * last) / (
+            np.sin(angle)
+        )
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    place = start.translation + (end.translation - start.translation) * fraction
+    return np.concatenate([place, turn], axis=1).astype(np.float32)
+
+
+def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Axis of a rotation matrix, as long as its angle [rad]."""
+    quaternion = _quaternion(rotation)
+    length = float(np.linalg.norm(quaternion[:3]))
+    if length < 1e-12:
+        return np.zeros(3)
+    angle = 2.0 * np.arctan2(length, abs(quaternion[3]))
+    return quaternion[:3] * (angle / length * (1.0 if quaternion[3] >= 0.0 else -1.0))
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit quaternion (x, y, z, w) of a rotation matrix, by its dominant component."""
+    m = rotation
+    squares = np.array(
+        [
+            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
+            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
+            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
+        ]
+    )
+    largest = int(np.argmax(squares))
+    rows = np.array(
+        [
+            [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
+            [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
+            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
+        ]
+    )
+    quaternion = rows[largest]
+    return quaternion / np.linalg.norm(quaternion)
+
+
+def box_diagonal(corners: NDArray[np.float64]) -> float:
+    """Length of a box's diagonal [m]."""
+    return float(np.linalg.norm(corners[-1] - corners[0]))
+
+
+def longest(vectors: NDArray[np.float64]) -> float:
+    """Length of the longest of some vectors [m]."""
+    return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max()))

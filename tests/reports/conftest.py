@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Cases from the field are tried in the same fresh Blender as the add-on's own tests."""
+
+from tactile_clay.tests.clay_addon.conftest import studio
+
+__all__ = ["studio"]
