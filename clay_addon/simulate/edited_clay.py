@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.take.data import Edit as TakeEdit
+from ..core.take.data import TakeEdit
 from ..core.take.frames import nearest
 from ..core.tools.edits import Edit, EditKind, apply_edit
 from ..model.clay_points import ABSENT

@@ -27,7 +27,7 @@ def steps():
     yield from press((0.0, 0.0, 0.06))
     yield after(0.1)
     key("ESC")
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     scene = window.scene
     last = scene.frame_end
     pressed = top_of(clay())

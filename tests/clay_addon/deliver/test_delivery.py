@@ -26,7 +26,7 @@ from tactile_clay.clay_addon.deliver.delivery import DeliveryError, deliver
 from tactile_clay.clay_addon.deliver.files import FrameWriter
 from tactile_clay.clay_addon.deliver.object import delivered_object, remove_delivery
 from tactile_clay.clay_addon.model.clay_points import ABSENT, SCULPTED_MARK
-from tactile_clay.clay_addon.sculpt.session_checks import SculptError, check_free
+from tactile_clay.clay_addon.sculpt.live.checks import SculptError, check_free
 
 SPEED = 1.2
 """Of the moving clay [m/s]: it goes on by more than its own size from frame to frame."""

@@ -27,7 +27,7 @@ from tactile_clay.clay_addon.playback.poses import (
     pose_frames,
     pose_modifier,
 )
-from tactile_clay.clay_addon.sculpt.live_surface import LiveSurface
+from tactile_clay.clay_addon.sculpt.live.surface import LiveSurface
 
 
 def shown(clay: Any, frame: int) -> np.ndarray:
