@@ -11,6 +11,7 @@ from .bake import operators as bake_operators
 from .bake.checks import BakeError, changed_subjects, resolve_directory
 from .bake.operators import duration_text, size_text
 from .base.preferences import draw_missing_parts, draw_text
+from .base.units import meters_per_unit
 from .core.storage.cache import Cache, CacheError
 from .hands.hand import hand_message, hand_objects
 from .model.clay_scene import SimulationError, clay_objects, collider_objects
@@ -69,7 +70,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         box.label(text=item.name, icon="POINTCLOUD_DATA")
         box.label(
             text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
-            if scene.unit_settings.scale_length == 1.0
+            if meters_per_unit(scene) == 1.0
             else f"{len(item.data.points):,} particles"
         )
         row = box.row(align=True)

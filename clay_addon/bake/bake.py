@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ..base.preferences import ADDON_VERSION
+from ..base.units import from_meters, meters_per_unit, to_meters
 from ..core.storage.cache import Cache, Frame, Meta
 from ..deliver.object import delivered_object
 from ..model.clay_points import SCULPTED_MARK, write_colors
@@ -386,12 +387,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
             f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
             "Show Clay Again, to see this bake."
         )
-    scale = scene.unit_settings.scale_length
-    pull = scene.gravity.length * scale
+    scale = meters_per_unit(scene)
+    pull = to_meters(scene, scene.gravity.length)
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:
         warnings.append(
             f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
-            f"is {9.81 / scale:.4g} there (Scene > Gravity)."
+            f"is {from_meters(scene, 9.81):.4g} there (Scene > Gravity)."
         )
     if tally.quarantined:
         warnings.append(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh, mesh_volume
 from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
 from ..base.preferences import missing_parts
+from ..base.units import from_meters, to_meters
 from ..model.material_presets import SCENE, find_material, operator_items
 from .look import add_look, show_colors
 
@@ -170,7 +171,7 @@ def _about(count: float) -> str:
 
 
 def _length(value: float, scene: bpy.types.Scene) -> str:
-    meters = value * scene.unit_settings.scale_length
+    meters = to_meters(scene, value)
     if meters >= 1:
         return f"{meters:.3g} m"
     return f"{meters * 1e3:.3g} mm"
@@ -195,10 +196,12 @@ def fill_pieces(
 
     filled: list[NDArray[np.float32]] = []
     for index, (name, vertices, triangles) in enumerate(pieces):
-        # The solver's messages speak of metres, so that is what it is given.
-        scale = scene.unit_settings.scale_length
         try:
-            points = fill_mesh(vertices * scale, triangles, spacing * scale) / scale
+            # The solver's messages speak of meters.
+            points = from_meters(
+                scene,
+                fill_mesh(to_meters(scene, vertices), triangles, to_meters(scene, spacing)),
+            )
         except (MeshError, ValueError) as error:
             raise ClayError(f"{name!r}: {error}") from error
         for (_, other_vertices, other_triangles), other_points in zip(

@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..base.units import from_meters
 from .output import ProgressLine, diverted_output, output_text
 from .words import (
     EXIT_DONE,
@@ -151,8 +152,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     if arguments.resume and known:
         film = known[0]
     else:
-        scale = scene.unit_settings.scale_length
-        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        spacing = from_meters(scene, (arguments.spacing or 0.0) * 1e-3)
         try:
             film = make_film(context, spacing=spacing, substeps=arguments.substeps)
         except FilmError as error:

@@ -22,6 +22,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.units import meters_per_unit
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import Surface
 from ..core.surface.mesh_3mf import write_3mf
@@ -220,7 +221,7 @@ def clay_surface(
         SurfaceError: if the particles have no surface.
     """
     scene = context.scene
-    scale = scene.unit_settings.scale_length
+    scale = meters_per_unit(scene)
     try:
         parts = [part.scaled(scale) for part in _shown(scene, objects)]
         return particles_surface(parts)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
+from ..base.units import meters_per_unit
 
 _SAME_PLACE = 1e-5
 """Vertices closer than this share of the hand's length are one: seams of textures."""
@@ -61,7 +62,7 @@ def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedH
     for part in (item, rig):
         if is_switched_off(part, depsgraph):
             raise HandError(f"{part.name!r} {SWITCHED_OFF}")
-    scale = context.scene.unit_settings.scale_length
+    scale = meters_per_unit(context.scene)
     bones = [bone for bone in rig.data.bones if bone.use_deform]
     column = {bone.name: index for index, bone in enumerate(bones)}
     groups = {

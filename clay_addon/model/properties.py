@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 
+from ..base.units import from_meters
 from .material_presets import (
     CUSTOM,
     MISSING,
@@ -62,7 +63,7 @@ def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
 
 def _get_spacing(properties: Any) -> float:
     # Half a centimetre whatever the scene's unit scale, until a value is chosen.
-    return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
+    return properties.spacing_chosen or from_meters(properties.id_data, 0.005)
 
 
 def _set_spacing(properties: Any, value: float) -> None:

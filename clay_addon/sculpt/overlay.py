@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.units import meters_per_unit
 from ..core.brush.brush import Brush
 from ..core.brush.mirror import mirror_matrices
 from ..core.brush.rigid import frame_of, tangent_of
@@ -71,9 +72,7 @@ def _draw() -> None:
     scene, view = bpy.context.scene, bpy.context.region_data
     if _brush is None or scene is None or view is None or not bpy.context.space_data.overlay:
         return
-    draw_brush(
-        _brush, np.array(view.view_matrix, np.float64), scale=scene.unit_settings.scale_length
-    )
+    draw_brush(_brush, np.array(view.view_matrix, np.float64), scale=meters_per_unit(scene))
 
 
 def draw_brush(brush: Brush, view_matrix: NDArray[np.float64], *, scale: float) -> None:

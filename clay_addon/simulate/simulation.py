@@ -24,6 +24,7 @@ from ..base.mesh_geometry import (
     transform,
     turn_for,
 )
+from ..base.units import meters_per_unit
 from ..core.storage.cache import ClaySlice
 from ..hands.hand import hand_objects
 from ..hands.reading import HandError
@@ -97,7 +98,7 @@ class Simulation:
     def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
         scene = context.scene
         self.scene = scene
-        self.scale = scene.unit_settings.scale_length
+        self.scale = meters_per_unit(scene)
         self.live = live
         if not clay_objects(scene):
             raise SimulationError(

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ..bake.checks import BakeError, owner_of, resolve_directory
 from ..base.preferences import ADDON_VERSION
+from ..base.units import meters_per_unit
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.take.data import TakeHeader, ToolShape
 from ..core.take.files import write_header, write_start, write_tool
@@ -114,7 +115,7 @@ class TakeRecorder:
             header = TakeHeader(
                 frame_start=scene.frame_start,
                 frames_per_second=frames_per_second(scene),
-                unit_scale=scene.unit_settings.scale_length,
+                unit_scale=meters_per_unit(scene),
                 clay=tuple((p.name, p.count, float(simulation.spacing)) for p in simulation.parts),
             )
             folder.mkdir(parents=True, exist_ok=True)
