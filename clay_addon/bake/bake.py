@@ -24,6 +24,7 @@ from ..model.properties import frame_range
 from ..playback.pack import is_packed
 from ..playback.playback import paused, refresh
 from ..simulate.simulation import Simulation
+from ..take.film_edits import film_clay
 from ..touch.bake_touch import BakeTouch, own_touch
 from ..wheel.wheel import WheelError, check_speeds, sample
 from .checkpoints import Checkpoints, restore_checkpoint
@@ -196,7 +197,7 @@ def bake_steps(
             sample(scene)
             check_speeds(scene)
             scene.frame_set(start)
-            simulation = Simulation(context)
+            simulation = Simulation(context, edit_clay=film_clay(scene))
             device = solver_device(context, device)
             meta = _make_meta(scene, simulation, cache, start, end, device)
             check_owner(scene, cache, replace_other=replace_other)
@@ -259,12 +260,10 @@ def bake_steps(
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
     """Give the clay the colours it has at the end: a bake has one for each particle."""
     assert simulation.edited is not None
-    cache.write_colors(simulation.edited.colors)
-    first = 0
-    for part in simulation.parts:
-        rows = simulation.edited.colors[first : first + part.count]
+    colors = simulation.edited.colors
+    cache.write_colors(colors)
+    for part, rows in zip(simulation.parts, simulation.parts.split(colors), strict=True):
         write_colors(scene.objects[part.name], rows)
-        first += part.count
 
 
 def _make_meta(

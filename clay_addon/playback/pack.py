@@ -158,13 +158,12 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         inverse = [local_from_world(item) for item in clay]
     except ValueError as error:
         raise PackError(f"{error}.") from error
-    splits = np.cumsum([part.count for part in meta.clay])[:-1]
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
     # Frames that are held over need not be stored.
     kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
     for number in kept:
         world = cache.read_frame(number, meta=meta).positions
-        for part, matrix, positions in zip(frames, inverse, np.split(world, splits), strict=True):
+        for part, matrix, positions in zip(frames, inverse, meta.layout.split(world), strict=True):
             part[number] = transform(matrix, positions).astype(np.float32)
     checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
     for item, part in zip(clay, checked, strict=True):

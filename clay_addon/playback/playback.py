@@ -130,13 +130,10 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
         raise CacheDamagedError(f"{error}. Press Resume to bake it again") from error
     except ValueError as error:
         raise CacheError(str(error)) from error
-    first = 0
-    for item, matrix in zip(clay, inverse, strict=True):
-        count = len(item.data.points)
-        write_points(item, transform(matrix, positions[first : first + count]))
+    for item, matrix, rows in zip(clay, inverse, meta.layout.split(positions), strict=True):
+        write_points(item, transform(matrix, rows))
         if BAKED_MARK not in item.data:
             item.data[BAKED_MARK] = True
-        first += count
 
 
 def _wanted(scene: bpy.types.Scene, frames: list[int]) -> int:

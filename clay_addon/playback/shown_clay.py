@@ -28,7 +28,7 @@ class ShownClayError(ValueError):
 
 
 @dataclass(frozen=True)
-class Particles:
+class ShownParticles:
     """Particles of a clay object in world space."""
 
     positions: NDArray[np.float64]
@@ -40,7 +40,7 @@ class Particles:
     spacing: float
     """Distance between neighbours, in the unit of the positions."""
 
-    def scaled(self, scale: float) -> Particles:
+    def scaled(self, scale: float) -> ShownParticles:
         """The same in another unit."""
         return replace(
             self,
@@ -88,7 +88,7 @@ class ShownClay:
         """What tells shapes apart: two frames with equal keys show the same."""
         return tuple(self._key(item, number) for item in self._objects)
 
-    def read(self, number: int) -> list[Particles]:
+    def read(self, number: int) -> list[ShownParticles]:
         """The particles of each object at a frame, in Blender units.
 
         Args:
@@ -108,7 +108,6 @@ class ShownClay:
         if wanted not in self.baked:
             raise ShownClayError(f"Frame {wanted} is missing in the bake. Press Resume.")
         frame = self._cache.read_frame(wanted, meta=self._meta)
-        splits = np.cumsum([part.count for part in self._meta.clay])[:-1]
         held = self._scene.tactile_clay.hold_frames > 1
         velocities = np.zeros_like(frame.velocities) if held else frame.velocities
         return [
@@ -118,8 +117,8 @@ class ShownClay:
             for item, spacing, positions, motion in zip(
                 self._objects,
                 self._spacings,
-                np.split(frame.positions, splits),
-                np.split(velocities, splits),
+                self._meta.layout.split(frame.positions),
+                self._meta.layout.split(velocities),
                 strict=True,
             )
         ]
@@ -140,7 +139,7 @@ class ShownClay:
             return ("packed", number)
         return ("baked", self._baked_frame(number)) if self.baked else ("own", *where)
 
-    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> Particles:
+    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> ShownParticles:
         """Particles of a keyed, packed or sculpted shape, which goes with its object."""
         pose = pose_at(item, number)
         if pose is None and is_packed(item):
@@ -159,10 +158,10 @@ def _present(
     velocities: NDArray[np.float32],
     spacing: float,
     matrix: Any,
-) -> Particles:
+) -> ShownParticles:
     """Those of a clay object's particles that are there."""
     there = present_rows(held, positions)
-    return Particles(
+    return ShownParticles(
         transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
     )
 
@@ -204,7 +203,7 @@ def world_spacing(item: bpy.types.Object) -> float:
 
 
 def particles_surface(
-    parts: Sequence[Particles], *, moving: bool = False
+    parts: Sequence[ShownParticles], *, moving: bool = False
 ) -> tuple[Surface, int, float]:
     """Reconstruct the surface of clay; objects of one spacing that touch become one piece.
 
@@ -219,7 +218,7 @@ def particles_surface(
         SurfaceError: if the particles have no surface.
         ImportError: if pysplashsurf is missing.
     """
-    groups: dict[float, list[Particles]] = {}
+    groups: dict[float, list[ShownParticles]] = {}
     for part in parts:
         # Single precision in the properties must not keep equal spacings apart.
         groups.setdefault(float(f"{part.spacing:.5g}"), []).append(part)

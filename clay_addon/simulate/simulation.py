@@ -25,7 +25,7 @@ from ..base.mesh_geometry import (
     turn_for,
 )
 from ..base.units import meters_per_unit
-from ..core.storage.cache import ClaySlice
+from ..core.storage.clay_layout import ClayLayout, ClaySlice
 from ..hands.hand import hand_objects
 from ..hands.reading import HandError
 from ..model.clay_scene import (
@@ -46,7 +46,7 @@ from .hand_motion import HandState, MovingHand
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider, Scene, Solver
-    from ..take.film_edits import EditedClay
+    from .edits import ClayEdits, EditClay
 
 
 _HELD = "scene_hand_{}_held"
@@ -89,13 +89,20 @@ class Simulation:
         context: Its scene is what is simulated.
         live: For a live session: clay starts as it is shown, what is switched off in the viewport
             is left out, and hands give way to the clay.
+        edit_clay: Gives the edits that are carried out between frames; None where there are none.
 
     Raises:
         SimulationError: Something in the scene is wrong; the message names the object and says
             what to do.
     """
 
-    def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        *,
+        live: bool = False,
+        edit_clay: EditClay | None = None,
+    ) -> None:
         scene = context.scene
         self.scene = scene
         self.scale = meters_per_unit(scene)
@@ -113,17 +120,15 @@ class Simulation:
                 "All clay of the scene is switched off in the viewport. Switch some of it on."
             )
         _check_clay(clay, depsgraph)
-        self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
+        self.parts = ClayLayout(ClaySlice(item.name, len(item.data.points)) for item in clay)
         self.materials = tuple(checked_material(item) for item in clay)
         attribute = "position" if live else "rest_position"
         self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
-        self.edited: EditedClay | None = None
-        """Edits that are carried out on the way; None where there are none."""
-        if not live and scene.tactile_clay.film_edits:
-            from ..take.film_edits import EditedClay
-
-            self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
+        self.edited: ClayEdits | None = None
+        """Edits that are carried out between frames; None where there are none."""
+        if edit_clay is not None:
+            self.edited = edit_clay(clay, self.rest, self.scale)
         self.spacing = _common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
         self.time_step = 1.0 / frames_per_second(scene)
@@ -251,8 +256,7 @@ class Simulation:
         """World positions [Blender units] and colours of each clay object's particles."""
         if self.edited is not None:
             return self.edited.bodies()
-        ends = np.cumsum([len(points) for points in self.rest])[:-1]
-        return list(zip(self.rest, np.split(self.colors, ends), strict=True))
+        return list(zip(self.rest, self.parts.split(self.colors), strict=True))
 
     def build(self, scene: Scene, device: str) -> None:
         """Build the solver; this needs no Blender, so any thread may do it.
@@ -344,12 +348,11 @@ class Simulation:
 
     def _edit(self, after: float, until: float) -> None:
         """Carry out the edits between two moments [frames]."""
-        edits = self.edited.due(after, until) if self.edited is not None else ()
-        if not edits:
+        if self.edited is None or not self.edited.is_due(after, until):
             return
-        assert self.edited is not None and self.solver is not None
+        assert self.solver is not None
         positions = (self.solver.positions() / self.scale).astype(np.float32)
-        if self.edited.apply(edits, positions):
+        if self.edited.apply(after, until, positions):
             self._build_anew()
 
     def _build_anew(self) -> None:

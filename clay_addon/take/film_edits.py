@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any, get_args
 
 import bpy
@@ -22,6 +23,7 @@ from ..core.take.frames import nearest
 from ..core.tools.edits import Edit, EditKind, apply_edit
 from ..model.clay_points import ABSENT
 from ..model.clay_scene import clay_colors, read_points
+from ..simulate.edits import EditClay
 
 FIRST_COLOR = "clay_first_color"
 """Attribute that keeps the colours at the beginning; those that are shown are of the end."""
@@ -73,6 +75,12 @@ def prepare_for_edits(item: bpy.types.Object, absent_count: int) -> None:
     layer.data.foreach_set("value", absent)
     colors = item.data.attributes.new(FIRST_COLOR, "FLOAT_COLOR", "POINT")
     colors.data.foreach_set("color", clay_colors(item).ravel())
+
+
+def film_clay(scene: bpy.types.Scene) -> EditClay | None:
+    """What edits the clay of a film while it is baked; None where a scene has no edits."""
+    text = scene.tactile_clay.film_edits
+    return partial(EditedClay, text) if text else None
 
 
 class EditedClay:
@@ -130,23 +138,27 @@ class EditedClay:
         spread[self.present] = values
         return spread[self._place]
 
-    def due(self, after: float, until: float) -> list[Edit]:
-        """Edits between two moments [frames], the second included."""
+    def is_due(self, after: float, until: float) -> bool:
+        """Whether there are edits between two moments [frames], the second included."""
+        return bool(self._due(after, until))
+
+    def _due(self, after: float, until: float) -> list[Edit]:
         return [e for at, e in self._edits if after + _AT_ONCE < at <= until + _AT_ONCE]
 
-    def apply(self, edits: Sequence[Edit], positions: NDArray[np.float32]) -> bool:
-        """Carry edits out.
+    def apply(self, after: float, until: float, positions: NDArray[np.float32]) -> bool:
+        """Carry out the edits between two moments [frames].
 
         Args:
-            edits: What to do.
-            positions: Of the present particles [Blender units], shape [P, 3].
+            after: The first moment, itself excluded.
+            until: The second moment, included.
+            positions: Positions of the present particles [Blender units], shape [P, 3].
 
         Returns:
-            Whether particles came or went, so that the solver is to be built anew.
+            Whether particles came or went, so that the solver has to be built anew.
         """
         self._positions[self.present] = positions
         changed = False
-        for edit in edits:
+        for edit in self._due(after, until):
             for which in self._objects_of(edit):
                 changed |= self._apply(edit, np.flatnonzero(self._object == which))
         if changed:

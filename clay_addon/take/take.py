@@ -105,13 +105,10 @@ class TakeRecorder:
         """
         try:
             folder = directory or free_directory(scene)
-            first = 0
-            start = {}
-            positions = simulation.positions()
-            for part in simulation.parts:
-                rows = slice(first, first + part.count)
-                start[part.name] = (positions[rows], simulation.colors[rows])
-                first += part.count
+            layout = simulation.parts
+            positions = layout.split(simulation.positions())
+            colors = layout.split(simulation.colors)
+            start = dict(zip(layout.names, zip(positions, colors, strict=True), strict=True))
             header = TakeHeader(
                 frame_start=scene.frame_start,
                 frames_per_second=frames_per_second(scene),

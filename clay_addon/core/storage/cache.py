@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .clay_layout import ClayLayout, ClaySlice
 from .foci import FOCI
-from .meta import ClaySlice, Meta
+from .meta import Meta
 from .whole_files import (
     CacheDamagedError,
     CacheError,
@@ -37,6 +38,7 @@ __all__ = [
     "CacheDamagedError",
     "CacheError",
     "CacheMissingError",
+    "ClayLayout",
     "ClaySlice",
     "Frame",
     "Meta",
