@@ -326,18 +326,6 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     return properties.frame_start, properties.frame_end
 
 
-def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
-    """The frame whose shape is shown at another one, where each is held for some frames.
-
-    Args:
-        scene: Its setting counts.
-        number: The frame at which it is shown.
-        first: The first frame of the bake.
-    """
-    hold = scene.tactile_clay.hold_frames
-    return first + (number - first) // hold * hold
-
-
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)
 
 

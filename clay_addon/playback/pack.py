@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..clay.look import get_input, set_input
 from ..core.storage.cache import Cache, CacheError
-from ..model.properties import held_frame
+from ..core.storage.playback import Playback, held_frame
 
 NODE_GROUP_NAME = "Clay Playback"
 MODIFIER_NAME = "Clay Playback"
@@ -151,7 +151,8 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     hold = scene.tactile_clay.hold_frames
     if cache is None or not numbers:
         raise PackError("There is no bake to pack. Bake first.")
-    meta = cache.meta()
+    playback = Playback(cache)
+    meta = playback.meta()
     if not is_bake_of(meta, clay):
         raise PackError("The bake is of other clay than the scene has now. Bake again.")
     try:
@@ -160,10 +161,12 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         raise PackError(f"{error}.") from error
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
     # Frames that are held over need not be stored.
-    kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
+    kept = [
+        number for number in numbers if held_frame(number, first=numbers[0], hold=hold) == number
+    ]
     for number in kept:
-        world = cache.read_frame(number, meta=meta).positions
-        for part, matrix, positions in zip(frames, inverse, meta.layout.split(world), strict=True):
+        world = playback.frame(number).positions
+        for part, matrix, positions in zip(frames, inverse, world, strict=True):
             part[number] = transform(matrix, positions).astype(np.float32)
     checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
     for item, part in zip(clay, checked, strict=True):

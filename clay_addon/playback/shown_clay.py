@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ..base.keyed_channels import find_curve
 from ..base.mesh_geometry import transform
-from ..core.storage.cache import Cache, Meta
+from ..core.storage.cache import Cache
+from ..core.storage.playback import Playback, shown_frame
 from ..core.surface.exact import Surface, reconstruct
 from ..model.clay_points import is_sculpted, present_rows
 from ..model.clay_scene import clay_colors, read_points
-from ..model.properties import held_frame
 from .pack import is_packed, packed_positions
 from .playback import is_bake_of
 from .poses import pose_at
@@ -71,18 +71,17 @@ class ShownClay:
         self._scene = scene
         self._objects = list(objects)
         self._spacings = [world_spacing(item) for item in objects]
-        self._cache = cache
-        self._meta: Meta | None = None
+        self._playback: Playback | None = None
         self.baked: list[int] = []
         """Numbers of the baked frames, sorted; none where the clay plays no bake."""
         self.sculpted = False
         """Whether the clay was sculpted since it was baked, so that it does not play that."""
         if cache is not None and cache.exists() and not all(is_packed(item) for item in objects):
-            meta = cache.meta()
-            if is_bake_of(meta, self._objects):
+            playback = Playback(cache)
+            if is_bake_of(playback.meta(), self._objects):
                 self.sculpted = any(is_sculpted(item) for item in objects)
                 if not self.sculpted:
-                    self._meta, self.baked = meta, cache.frames()
+                    self._playback, self.baked = playback, playback.frames()
 
     def key(self, number: int) -> tuple[tuple[object, ...], ...]:
         """What tells shapes apart: two frames with equal keys show the same."""
@@ -98,18 +97,19 @@ class ShownClay:
             ShownClayError: if an object has no shape there.
             CacheError: if the frame is missing in the bake, or damaged.
         """
-        if self._meta is None or not any(self._is_baked(item, number) for item in self._objects):
+        if self._playback is None or not any(
+            self._is_baked(item, number) for item in self._objects
+        ):
             return [
                 self._read_own(item, spacing, number)
                 for item, spacing in zip(self._objects, self._spacings, strict=True)
             ]
-        assert self._cache is not None
         wanted = self._baked_frame(number)
         if wanted not in self.baked:
             raise ShownClayError(f"Frame {wanted} is missing in the bake. Press Resume.")
-        frame = self._cache.read_frame(wanted, meta=self._meta)
+        frame = self._playback.frame(wanted)
         held = self._scene.tactile_clay.hold_frames > 1
-        velocities = np.zeros_like(frame.velocities) if held else frame.velocities
+        velocities = [np.zeros_like(each) if held else each for each in frame.velocities]
         return [
             _present(item, positions, motion, spacing, np.eye(4))
             if self._is_baked(item, number)
@@ -117,8 +117,8 @@ class ShownClay:
             for item, spacing, positions, motion in zip(
                 self._objects,
                 self._spacings,
-                self._meta.layout.split(frame.positions),
-                self._meta.layout.split(velocities),
+                frame.positions,
+                velocities,
                 strict=True,
             )
         ]
@@ -127,8 +127,7 @@ class ShownClay:
         return bool(self.baked) and not is_packed(item) and pose_at(item, number) is None
 
     def _baked_frame(self, number: int) -> int:
-        first, last = self.baked[0], self.baked[-1]
-        return held_frame(self._scene, min(max(number, first), last), first)
+        return shown_frame(self.baked, number, hold=self._scene.tactile_clay.hold_frames)
 
     def _key(self, item: bpy.types.Object, number: int) -> tuple[object, ...]:
         pose = pose_at(item, number)

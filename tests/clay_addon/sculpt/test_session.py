@@ -307,7 +307,7 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     sessions.stop(bpy.context)
     assert sessions.current is None
     assert not list(tmp_path.glob("*autosave*"))
-    assert playback._pauses == 0
+    assert playback.timeline.pauses == 0
 
 
 def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
@@ -359,4 +359,4 @@ def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
     """Say what is missing, and leave all as it is."""
     with pytest.raises(SculptError, match="no clay"):
         SculptSession(bpy.context)
-    assert playback._pauses == 0
+    assert playback.timeline.pauses == 0
