@@ -9,7 +9,6 @@ import bpy
 import numpy as np
 
 from ...solver.geometry.polar import rotation_and_stretch
-from ..base.units import meters_per_unit
 from .reading import armature_matrix, hand_armature, skinned_hand, weights_digest
 from .store import StoredHand
 
@@ -20,8 +19,7 @@ _UNCHANGED = 1e-4
 def changed_part(context: bpy.types.Context, item: bpy.types.Object, stored: StoredHand) -> str:
     """What differs from the time of binding, in words; empty where nothing does."""
     now = skinned_hand(context, item)
-    scale = meters_per_unit(context.scene)
-    world = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get(), scale)
+    world = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get())
     rig = stored.rig
     order = {name: index for index, name in enumerate(now.bone_names)}
     if set(order) != set(rig.bone_names):

@@ -13,7 +13,7 @@ from ...solver.hand.rig import HandRig
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
 from ..base.preferences import missing_parts
-from ..base.units import meters_per_unit, pose_to_meters, to_meters
+from ..base.units import pose_to_meters, to_meters
 from .changes import changed_part, source_digest
 from .reading import HandError, armature_matrix, hand_armature, skinned_hand, weights_digest
 from .store import (
@@ -56,7 +56,6 @@ def make_hand(
     """
     from ...solver.hand.binding import bind_hand
 
-    scale = meters_per_unit(context.scene)
     for sentence in missing_parts():
         raise HandError(sentence)
     if item.library is not None or (item.data is not None and item.data.library is not None):
@@ -68,10 +67,10 @@ def make_hand(
     hand = replace(hand, side=side or _side_of(item, hand))
     spacing = scene_spacing(context.scene) if clay_spacing is None else clay_spacing
     try:
-        rig = bind_hand(hand, clay_spacing=spacing * scale)
+        rig = bind_hand(hand, clay_spacing=to_meters(context.scene, spacing))
     except ValueError as error:
         raise HandError(f"{item.name!r}: {error}") from error
-    armature = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get(), scale)
+    armature = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get())
     stored = StoredHand(rig, armature, weights_digest(hand), source_digest(item))
     store_hand(item.data, stored)
     item.tactile_clay.role = "HAND"

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stop motion: sculpted shapes as keys on the timeline.
 
-Each keyed shape is a point cloud of its own, with particles and colours as they were, so their
+Each keyed shape is a point cloud of its own, with particles and colors as they were, so their
 number may differ from key to key. A geometry nodes modifier on the clay shows the one whose number
 its input *Pose* has; 0 is the clay itself, simulated or sculpted. That input carries ordinary
 keyframes with constant interpolation: in the dope sheet they are moved, copied and deleted like any

@@ -32,13 +32,13 @@ class ShownParticles:
     """Particles of a clay object in world space."""
 
     positions: NDArray[np.float64]
-    """Shape [N, 3]; Blender units, or metres where scaled so."""
+    """Shape [N, 3]; Blender units, or meters where scaled so."""
     colors: NDArray[np.float32]
     """Linear RGBA, 0..1, shape [N, 4]."""
     velocities: NDArray[np.float32]
     """Shape [N, 3], per second; 0 where a shape is held."""
     spacing: float
-    """Distance between neighbours, in the unit of the positions."""
+    """Distance between neighbors, in the unit of the positions."""
 
     def scaled(self, scale: float) -> ShownParticles:
         """The same in another unit."""

@@ -14,7 +14,7 @@ from .hand_motion import MovingHand
 
 LIVE_HOLD_STIFFNESS = 600.0
 """How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
-fingertip pressed with 6 N is a centimetre behind."""
+fingertip pressed with 6 N is a centimeter behind."""
 
 
 def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:

@@ -245,7 +245,7 @@ class Simulation:
         return scene
 
     def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """World positions [Blender units] and colours of each clay object's particles."""
+        """World positions [Blender units] and colors of each clay object's particles."""
         if self.edited is not None:
             return self.edited.bodies()
         return list(zip(self.rest, self.parts.split(self.colors), strict=True))

@@ -134,7 +134,7 @@ class Cache:
         return self._numbers(FOCI)
 
     def read_colors(self) -> NDArray[np.float32]:
-        """Colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+        """Colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
 
         Raises:
             CacheMissingError: They are not there.
@@ -143,7 +143,7 @@ class Cache:
         path = self.directory / "colors.npz"
         colors = read_arrays(path, ("colors",))["colors"]
         if colors.shape != (self.meta().particle_count, 4) or colors.dtype != np.float32:
-            raise CacheDamagedError(f"{path.name} holds colours of the wrong size")
+            raise CacheDamagedError(f"{path.name} holds colors of the wrong size")
         return colors
 
     def read_checkpoint(self, number: int, *, meta: Meta | None = None) -> dict[str, Any]:
@@ -228,7 +228,7 @@ class Cache:
         self.write_meta(meta)
 
     def write_colors(self, colors: NDArray[np.floating]) -> None:
-        """Write the colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+        """Write the colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
