@@ -16,7 +16,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..base.units import from_meters
 from .output import ProgressLine, diverted_output, output_text
 from .words import (
     EXIT_DONE,
@@ -145,6 +144,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     """The scene in which a scene's take is baked again."""
     import bpy
 
+    from ..base.units import from_meters
     from ..take.film import FilmError, make_film
 
     source = scene.tactile_clay.film_of or scene
