@@ -10,6 +10,7 @@ import bpy
 from .bake.checks import changed_subjects
 from .base.activity import ActivityKind, clay_activity
 from .base.preferences import draw_missing_parts, draw_text
+from .base.units import meters_per_unit
 from .core.readable import duration_text, size_text
 from .core.storage.cache import Cache, CacheError
 from .hands.hand import hand_message, hand_objects
@@ -71,7 +72,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         box.label(text=item.name, icon="POINTCLOUD_DATA")
         box.label(
             text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
-            if scene.unit_settings.scale_length == 1.0
+            if meters_per_unit(scene) == 1.0
             else f"{len(item.data.points):,} particles"
         )
         row = box.row(align=True)

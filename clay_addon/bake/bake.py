@@ -16,6 +16,7 @@ import numpy as np
 
 from ..base.activity import ActivityKind, BusyError, clay_activity
 from ..base.preferences import ADDON_VERSION
+from ..base.units import from_meters, meters_per_unit, to_meters
 from ..core.storage.cache import Cache, Frame, Meta
 from ..deliver.object import delivered_object
 from ..model.cache_folder import owner_of
@@ -271,12 +272,10 @@ def _bake_frames(
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
     """Give the clay the colours it has at the end: a bake has one for each particle."""
     assert simulation.edited is not None
-    cache.write_colors(simulation.edited.colors)
-    first = 0
-    for part in simulation.parts:
-        rows = simulation.edited.colors[first : first + part.count]
+    colors = simulation.edited.colors
+    cache.write_colors(colors)
+    for part, rows in zip(simulation.parts, simulation.parts.split(colors), strict=True):
         write_colors(scene.objects[part.name], rows)
-        first += part.count
 
 
 def _make_meta(
@@ -399,12 +398,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
             f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
             "Show Clay Again, to see this bake."
         )
-    scale = scene.unit_settings.scale_length
-    pull = scene.gravity.length * scale
+    scale = meters_per_unit(scene)
+    pull = to_meters(scene, scene.gravity.length)
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:
         warnings.append(
             f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
-            f"is {9.81 / scale:.4g} there (Scene > Gravity)."
+            f"is {from_meters(scene, 9.81):.4g} there (Scene > Gravity)."
         )
     if tally.quarantined:
         warnings.append(

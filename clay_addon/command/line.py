@@ -145,6 +145,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     """The scene in which a scene's take is baked again."""
     import bpy
 
+    from ..base.units import from_meters
     from ..take.film import FilmError, make_film
 
     source = scene.tactile_clay.film_of or scene
@@ -152,8 +153,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     if arguments.resume and known:
         film = known[0]
     else:
-        scale = scene.unit_settings.scale_length
-        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        spacing = from_meters(scene, (arguments.spacing or 0.0) * 1e-3)
         try:
             film = make_film(context, spacing=spacing, substeps=arguments.substeps)
         except FilmError as error:

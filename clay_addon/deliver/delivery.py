@@ -21,6 +21,7 @@ from statistics import median
 import bpy
 
 from ..base.activity import ActivityKind, BusyError, clay_activity
+from ..base.units import meters_per_unit
 from ..core.storage.cache import CacheError
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
@@ -207,7 +208,7 @@ def _deliver_frames(
                     {number: folder / FRAMES_FOLDER / name for number, name in files.items()},
                     last=last,
                     frames_per_second=frames_per_second(scene),
-                    meters_per_unit=scene.unit_settings.scale_length,
+                    meters_per_unit=meters_per_unit(scene),
                 )
             _write_note(folder, kind, first, last, files, object_path)
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -6,6 +6,7 @@ from typing import Any
 import bpy
 
 from ..base.signals import held_frames_changed, wheels_changed
+from ..base.units import from_meters
 from .material_presets import (
     CUSTOM,
     MISSING,
@@ -58,7 +59,7 @@ def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
 
 def _get_spacing(properties: Any) -> float:
     # Half a centimetre whatever the scene's unit scale, until a value is chosen.
-    return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
+    return properties.spacing_chosen or from_meters(properties.id_data, 0.005)
 
 
 def _set_spacing(properties: Any, value: float) -> None:
@@ -285,18 +286,6 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     if properties.use_scene_range:
         return scene.frame_start, scene.frame_end
     return properties.frame_start, properties.frame_end
-
-
-def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
-    """The frame whose shape is shown at another one, where each is held for some frames.
-
-    Args:
-        scene: Its setting counts.
-        number: The frame at which it is shown.
-        first: The first frame of the bake.
-    """
-    hold = scene.tactile_clay.hold_frames
-    return first + (number - first) // hold * hold
 
 
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)

@@ -18,8 +18,8 @@ from ...solver.core.errors import TactileClayError
 from ..base.mesh_geometry import local_from_world, transform
 from ..clay.look import set_input
 from ..core.storage.cache import Cache, CacheError
+from ..core.storage.playback import Playback, held_frame
 from ..model.clay_scene import clay_objects
-from ..model.properties import held_frame
 from .packed import FRAME_ATTRIBUTE, MODIFIER_NAME, is_packed, packed_attributes
 from .playback import cache_of, is_bake_of, refresh
 
@@ -105,20 +105,22 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     hold = scene.tactile_clay.hold_frames
     if cache is None or not numbers:
         raise PackError("There is no bake to pack. Bake first.")
-    meta = cache.meta()
+    playback = Playback(cache)
+    meta = playback.meta()
     if not is_bake_of(meta, clay):
         raise PackError("The bake is of other clay than the scene has now. Bake again.")
     try:
         inverse = [local_from_world(item) for item in clay]
     except ValueError as error:
         raise PackError(f"{error}.") from error
-    splits = np.cumsum([part.count for part in meta.clay])[:-1]
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
     # Frames that are held over need not be stored.
-    kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
+    kept = [
+        number for number in numbers if held_frame(number, first=numbers[0], hold=hold) == number
+    ]
     for number in kept:
-        world = cache.read_frame(number, meta=meta).positions
-        for part, matrix, positions in zip(frames, inverse, np.split(world, splits), strict=True):
+        world = playback.frame(number).positions
+        for part, matrix, positions in zip(frames, inverse, world, strict=True):
             part[number] = transform(matrix, positions).astype(np.float32)
     checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
     for item, part in zip(clay, checked, strict=True):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stop motion: sculpted shapes as keys on the timeline.
 
-Each keyed shape is a point cloud of its own, with particles and colours as they were, so their
+Each keyed shape is a separate point cloud that keeps its particles and colors, so their
 number may differ from key to key. A geometry nodes modifier on the clay shows the one whose number
 its input *Pose* has; 0 is the clay itself, simulated or sculpted. That input carries ordinary
 keyframes with constant interpolation: in the dope sheet they are moved, copied and deleted like any
@@ -219,7 +219,7 @@ def _own_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
 
 
 def _poses(modifier: bpy.types.Modifier) -> dict[int, bpy.types.Object]:
-    """The shapes by their numbers."""
+    """Shapes by number."""
     found = {}
     switch = modifier.node_group.nodes[_SWITCH]
     for link in modifier.node_group.links:

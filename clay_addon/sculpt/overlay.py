@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.units import meters_per_unit
 from ..core.brush.brush import Brush
 from ..core.brush.mirror import mirror_matrices
 from ..core.brush.rigid import frame_of, tangent_of
@@ -80,7 +81,7 @@ class BrushOverlay:
             return
         if bpy.context.space_data.overlay:
             view_matrix = np.array(view.view_matrix, np.float64)
-            self.draw(self.brush, view_matrix, scale=scene.unit_settings.scale_length)
+            self.draw(self.brush, view_matrix, scale=meters_per_unit(scene))
 
     def draw(self, brush: Brush, view_matrix: NDArray[np.float64], *, scale: float) -> None:
         """Draw a brush with the current matrices of the GPU module.

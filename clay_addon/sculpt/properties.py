@@ -11,6 +11,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.units import from_meters, meters_per_unit
 from ..core.brush.adjust import Adjusted
 from ..core.tools.presets import ToolPreset, ToolPresetError
 from ..core.tools.settings import BrushSettings
@@ -25,7 +26,7 @@ _RADIUS = 0.012
 
 def _get_radius(properties: Any) -> float:
     # The size of a fingertip at any unit scale, until a value is chosen.
-    return properties.radius_chosen or _RADIUS / properties.id_data.unit_settings.scale_length
+    return properties.radius_chosen or from_meters(properties.id_data, _RADIUS)
 
 
 def _set_radius(properties: Any, value: float) -> None:
@@ -115,7 +116,7 @@ class SceneSource:
         if scene is None:
             return self._last
         properties = scene.tactile_clay_sculpt
-        scale = scene.unit_settings.scale_length
+        scale = meters_per_unit(scene)
         clay = clay_objects(scene)
         key, stamp = self._read_stamp(properties.stamp if properties.tool == "STAMP" else None)
         self._last = BrushSettings(
@@ -138,7 +139,7 @@ class SceneSource:
         scene = bpy.data.scenes.get(self._name)
         if scene is not None:
             if name == "radius":
-                value /= scene.unit_settings.scale_length
+                value = from_meters(scene, value)
             setattr(scene.tactile_clay_sculpt, name, value)
 
     def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolPreset | None]:

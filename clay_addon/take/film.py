@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import closed_mesh
 from ..base.preferences import missing_parts
+from ..base.units import to_meters
 from ..clay.look import MODIFIER_NAME, add_look, get_input, set_input
 from ..clay.meshes import ClayError, Piece, fill_pieces
 from ..core.surface.exact import SurfaceError, reconstruct
@@ -157,7 +158,7 @@ def _furnish(
     moving += [hand_armature(hand) for hand in hands]
     made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
     edits = take_edits(source)
-    room = room_for(edits, spacing * source.unit_settings.scale_length)
+    room = room_for(edits, to_meters(source, spacing))
     for item, (points, colors) in zip(live, pieces, strict=True):
         # Shown at the place of the first point until they are added.
         points = np.concatenate([points, np.tile(points[:1], (room, 1))])
@@ -166,7 +167,7 @@ def _furnish(
         if edits:
             prepare_for_edits(clay, room)
     context.view_layer.update()
-    wanted = spacing * film.unit_settings.scale_length
+    wanted = to_meters(film, spacing)
     for hand in hands:
         copy = made[hand]
         bound_for = 2.0 * stored_spacing(hand.data)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.keyed_channels import CONSTANT, Channel, needed, write_channels
+from ..base.units import from_meters
 from ..core.take.data import Layout, Steps, Take, ToolShape, frame_count
 from ..model.collider import TAKE_TOOL
 from ..tracking.armature import CONTACT_PROPERTY
@@ -240,8 +241,7 @@ def _felt(parts: Sequence[Steps], number: int) -> _Track:
 
 def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
-    scale = scene.unit_settings.scale_length
-    mesh.from_pydata((tool.vertices / scale).tolist(), [], tool.faces.tolist())
+    mesh.from_pydata(from_meters(scene, tool.vertices).tolist(), [], tool.faces.tolist())
     item = bpy.data.objects.new(name, mesh)
     item[TAKE_TOOL] = True
     # The film shows what the tool does, as the session did.

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ..base.preferences import ADDON_VERSION
+from ..base.units import meters_per_unit
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.take.data import TakeHeader, ToolShape
 from ..core.take.files import write_header, write_start, write_tool
@@ -113,17 +114,14 @@ class TakeRecorder:
         """
         try:
             folder = directory or free_directory(scene)
-            first = 0
-            start = {}
-            positions = simulation.positions()
-            for part in simulation.parts:
-                rows = slice(first, first + part.count)
-                start[part.name] = (positions[rows], simulation.colors[rows])
-                first += part.count
+            layout = simulation.parts
+            positions = layout.split(simulation.positions())
+            colors = layout.split(simulation.colors)
+            start = dict(zip(layout.names, zip(positions, colors, strict=True), strict=True))
             header = TakeHeader(
                 frame_start=scene.frame_start,
                 frames_per_second=frames_per_second(scene),
-                unit_scale=scene.unit_settings.scale_length,
+                unit_scale=meters_per_unit(scene),
                 clay=tuple((p.name, p.count, float(simulation.spacing)) for p in simulation.parts),
             )
             folder.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.mesh_geometry import local_from_world, transform
+from ...base.units import meters_per_unit
 from ...core.tools.edits import Edit, apply_edit
 from ...model.clay_points import replace_points, write_colors
 from ...model.clay_scene import clay_colors, read_points
@@ -31,7 +32,7 @@ def edit_clay(
     Returns:
         Whether anything has changed.
     """
-    scale = context.scene.unit_settings.scale_length
+    scale = meters_per_unit(context.scene)
     shapes = [_read(item, scale) for item in clay]
     changed = [False] * len(clay)
     for edit in edits:

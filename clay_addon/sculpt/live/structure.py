@@ -7,6 +7,7 @@ from collections.abc import Hashable
 
 import bpy
 
+from ...base.units import meters_per_unit
 from ...model.clay_scene import solver_settings
 from ...model.material_properties import property_names
 
@@ -35,6 +36,6 @@ def structure(scene: bpy.types.Scene) -> Hashable:
             parts += [properties.collider_adhesion, len(item.data.vertices)]
         elif role == "HAND":
             parts += [properties.collider_friction, len(item.data.vertices)]
-    parts += [scene.unit_settings.scale_length, scene.use_gravity, tuple(scene.gravity)]
+    parts += [meters_per_unit(scene), scene.use_gravity, tuple(scene.gravity)]
     parts.append(solver_settings(scene))
     return tuple(parts)
