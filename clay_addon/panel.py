@@ -7,19 +7,21 @@ import time
 
 import bpy
 
-from .bake import operators as bake_operators
-from .bake.checks import BakeError, changed_subjects, resolve_directory
-from .bake.operators import duration_text, size_text
+from .bake.checks import changed_subjects
+from .base.activity import ActivityKind, clay_activity
 from .base.preferences import draw_missing_parts, draw_text
+from .base.units import meters_per_unit
+from .core.readable import duration_text, size_text
 from .core.storage.cache import Cache, CacheError
 from .hands.hand import hand_message, hand_objects
+from .model.cache_folder import CacheFolderError, resolve_directory
 from .model.clay_scene import SimulationError, clay_objects, collider_objects
 from .model.digest import scene_digests
 from .model.material_properties import draw_material
 from .model.properties import frame_range
 from .model.user_materials import user_material_folder, user_materials
 from .playback import playback
-from .playback.pack import is_packed
+from .playback.packed import is_packed
 
 _GLANCE_SECONDS = 1.0
 """The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
@@ -70,7 +72,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
         box.label(text=item.name, icon="POINTCLOUD_DATA")
         box.label(
             text=f"{len(item.data.points):,} particles, {clay.spacing * 1e3:.3g} mm apart"
-            if scene.unit_settings.scale_length == 1.0
+            if meters_per_unit(scene) == 1.0
             else f"{len(item.data.points):,} particles"
         )
         row = box.row(align=True)
@@ -159,7 +161,7 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
         if hand_objects(scene):
             column.prop(properties, "hands_give_way")
         column.prop(properties, "cache_directory")
-        running = bake_operators.running
+        running = clay_activity.progress if clay_activity.kind is ActivityKind.BAKE else None
         if running is not None:
             layout.progress(
                 factor=running.done / max(1, running.total),
@@ -173,7 +175,7 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
         row.operator("clay.free", icon="TRASH")
         try:
             cache = Cache(resolve_directory(scene))
-        except BakeError as error:
+        except CacheFolderError as error:
             draw_text(layout, str(error), icon="INFO")
             return
         state, warning = cache_state(scene, cache)

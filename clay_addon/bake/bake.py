@@ -14,13 +14,16 @@ from statistics import median
 import bpy
 import numpy as np
 
+from ..base.activity import ActivityKind, BusyError, clay_activity
 from ..base.preferences import ADDON_VERSION
+from ..base.units import from_meters, meters_per_unit, to_meters
 from ..core.storage.cache import Cache, Frame, Meta
 from ..deliver.object import delivered_object
+from ..model.cache_folder import owner_of
 from ..model.clay_points import SCULPTED_MARK, write_colors
 from ..model.clay_scene import SimulationError, clay_objects, frames_per_second, solver_device
 from ..model.properties import frame_range
-from ..playback.pack import is_packed
+from ..playback.packed import is_packed
 from ..playback.playback import paused, refresh
 from ..simulate.simulation import Simulation
 from ..touch.bake_touch import BakeTouch, own_touch
@@ -29,10 +32,9 @@ from .checkpoints import Checkpoints, restore_checkpoint
 from .checks import (
     BakeError,
     BakeStaleError,
+    bake_cache,
     check_owner,
     check_resume,
-    owner_of,
-    resolve_directory,
 )
 
 __all__ = [
@@ -172,19 +174,31 @@ def bake_steps(
     Sending True stops it: the frames so far are kept, with a checkpoint to resume from. Closing
     it does the same. The scene's frame is put back either way.
     """
-    scene = context.scene
-    # Not above: the session knows of bakes too.
-    from ..sculpt import session
+    try:
+        clay_activity.check_free()
+    except BusyError as error:
+        raise BakeError(str(error)) from error
+    frames = _bake_frames(context, start, end, directory, resume, device, replace_other)
+    return (yield from clay_activity.through(ActivityKind.BAKE, frames))
 
-    if session.current is not None:
-        raise BakeError("The clay is being sculpted. Press Finish, or Esc in the 3D view, first.")
+
+def _bake_frames(
+    context: bpy.types.Context,
+    start: int | None,
+    end: int | None,
+    directory: str | os.PathLike[str] | None,
+    resume: bool,
+    device: str | None,
+    replace_other: bool,
+) -> Generator[BakeProgress, bool | None, BakeResult]:
+    scene = context.scene
     began = time.perf_counter()
     default_start, default_end = frame_range(scene)
     start = default_start if start is None else start
     end = default_end if end is None else end
     if end < start:
         raise BakeError(f"The range ends (frame {end}) before it starts (frame {start}).")
-    cache = Cache(resolve_directory(scene, directory))
+    cache = bake_cache(scene, directory)
     # Take up what was done to the points since the last change of frame.
     refresh(scene)
     previous = scene.frame_current, scene.frame_subframe
@@ -258,12 +272,10 @@ def bake_steps(
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
     """Give the clay the colours it has at the end: a bake has one for each particle."""
     assert simulation.edited is not None
-    cache.write_colors(simulation.edited.colors)
-    first = 0
-    for part in simulation.parts:
-        rows = simulation.edited.colors[first : first + part.count]
+    colors = simulation.edited.colors
+    cache.write_colors(colors)
+    for part, rows in zip(simulation.parts, simulation.parts.split(colors), strict=True):
         write_colors(scene.objects[part.name], rows)
-        first += part.count
 
 
 def _make_meta(
@@ -386,12 +398,12 @@ def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
             f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
             "Show Clay Again, to see this bake."
         )
-    scale = scene.unit_settings.scale_length
-    pull = scene.gravity.length * scale
+    scale = meters_per_unit(scene)
+    pull = to_meters(scene, scene.gravity.length)
     if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:
         warnings.append(
             f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
-            f"is {9.81 / scale:.4g} there (Scene > Gravity)."
+            f"is {from_meters(scene, 9.81):.4g} there (Scene > Gravity)."
         )
     if tally.quarantined:
         warnings.append(
@@ -418,7 +430,7 @@ def free(
         BakeError: The bake belongs to another .blend or scene.
         CacheError: The folder cannot be emptied.
     """
-    cache = Cache(resolve_directory(scene, directory))
+    cache = bake_cache(scene, directory)
     check_owner(scene, cache, replace_other=replace_other)
     size = cache.free()
     refresh(scene)

@@ -9,11 +9,13 @@ from pathlib import Path
 
 import bpy
 
+from ...solver.core.errors import TactileClayError
 from ..core.storage.cache import Cache, CacheDamagedError, CacheError, Frame, Meta
+from ..model.cache_folder import CacheFolderError, resolve_directory
 from ..simulate.simulation import Simulation
 
 
-class BakeError(Exception):
+class BakeError(TactileClayError):
     """A bake cannot start or go on; the message says why and what to do."""
 
 
@@ -21,45 +23,16 @@ class BakeStaleError(BakeError):
     """The scene is no longer what the bake was made from."""
 
 
-def resolve_directory(
-    scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None
-) -> Path:
-    """The cache folder as an absolute path.
-
-    Args:
-        scene: Its cache folder is taken where `directory` is None.
-        directory: A path; one that starts with ``//`` is beside the .blend.
+def bake_cache(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None) -> Cache:
+    """The cache that a bake of a scene goes into.
 
     Raises:
-        BakeError: No folder is set, or it is relative to a .blend that was never saved, or to
-            nothing at all.
+        BakeError: It has no usable folder; see `resolve_directory`.
     """
-    text = os.fspath(directory) if directory is not None else scene.tactile_clay.cache_directory
-    if not text:
-        raise BakeError("No cache folder is set. Set one in the Bake panel.")
-    if text.startswith("//") and not bpy.data.filepath:
-        raise BakeError(
-            "The .blend was never saved, and its bake goes into a folder beside it. Save the file "
-            "first, or set an absolute cache folder."
-        )
-    path = Path(bpy.path.abspath(text))
-    if directory is None and not path.is_absolute():
-        raise BakeError(
-            f"The cache folder {text!r} is beside nothing known. Begin it with // for a folder "
-            "beside the .blend, or give the whole path."
-        )
-    return path.absolute()
-
-
-def owner_of(scene: bpy.types.Scene, cache: Cache) -> str:
-    """The .blend, seen from the cache folder so that both can move together, and the scene."""
-    if not bpy.data.filepath:
-        return ""
     try:
-        blend = os.path.relpath(bpy.data.filepath, cache.directory)
-    except ValueError:
-        blend = bpy.data.filepath
-    return f"{Path(blend).as_posix()}|{scene.name}"
+        return Cache(resolve_directory(scene, directory))
+    except CacheFolderError as error:
+        raise BakeError(str(error)) from error
 
 
 def check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) -> None:

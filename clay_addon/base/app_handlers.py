@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions that Blender calls, each registered once however often it is asked for."""
+"""Functions that Blender calls, each registered once, and having it draw its views anew."""
 
 from __future__ import annotations
 
@@ -26,3 +26,11 @@ def remove_handlers(handlers: Handlers) -> None:
         known = getattr(bpy.app.handlers, name)
         if handler in known:
             known.remove(handler)
+
+
+def redraw_views() -> None:
+    """Have all 3D views, and the panels beside them, drawn anew."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()

@@ -12,8 +12,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import ClosedMesh, MeshError, closed_mesh, mesh_volume
 from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..base.units import from_meters, to_meters
 from ..core.surface.particle_grid import ParticleGrid
 
 PARTICLE_COUNT_LIMIT = 1_000_000
@@ -23,7 +25,7 @@ PARTICLE_COUNT_LEAST = 8
 """Fewer particles than this cannot deform like clay."""
 
 
-class ClayError(Exception):
+class ClayError(TactileClayError):
     """Something cannot become clay; the message says what is wrong and what to do."""
 
 
@@ -159,19 +161,21 @@ def fill_pieces(
     """
     from ...solver.geometry.fill import fill
 
-    # The solver's messages speak of metres, so that is what it is given.
-    scale = scene.unit_settings.scale_length
+    # The solver's messages speak of meters, so that is what it is given.
     filled: list[NDArray[np.float32]] = []
     notes = []
     for index, (name, mesh) in enumerate(pieces):
-        in_meters = replace(mesh, vertices=mesh.vertices * scale)
+        in_meters = replace(mesh, vertices=to_meters(scene, mesh.vertices))
         try:
             filling = fill(
-                in_meters, spacing * scale, name=repr(name), follow_thin_walls=follow_thin_walls
+                in_meters,
+                to_meters(scene, spacing),
+                name=repr(name),
+                follow_thin_walls=follow_thin_walls,
             )
         except (MeshError, ValueError) as error:
             raise ClayError(str(error)) from error
-        points = filling.points.astype(np.float64) / scale
+        points = from_meters(scene, filling.points.astype(np.float64))
         for (_, other), particles in zip(pieces[:index], filled, strict=True):
             points = points[~_occupied(points, other, particles, spacing)]
         filled.append(points.astype(np.float32))
@@ -214,7 +218,7 @@ def _about(count: float) -> str:
 
 
 def _length(value: float, scene: bpy.types.Scene) -> str:
-    meters = value * scene.unit_settings.scale_length
+    meters = to_meters(scene, value)
     if meters >= 1:
         return f"{meters:.3g} m"
     return f"{meters * 1e3:.3g} mm"

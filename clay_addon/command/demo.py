@@ -21,6 +21,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...solver.core.errors import TactileClayError
 from .demo_progress import DemoProgress, chatter_into
 from .demo_scenes import DEFAULT, SCENES, DemoScene
 
@@ -28,7 +29,7 @@ EXPORTS = (".stl", ".ply", ".glb")
 """Formats of the last frame."""
 
 
-class DemoError(Exception):
+class DemoError(TactileClayError):
     """The demonstration cannot go on; the message says why and what to do."""
 
 

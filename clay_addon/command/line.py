@@ -16,6 +16,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...solver.core.errors import TactileClayError
 from .output import ProgressLine, diverted_output, output_text
 from .words import (
     EXIT_DONE,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     pass
 
 
-class _CommandError(Exception):
+class _CommandError(TactileClayError):
     """The command cannot be carried out."""
 
     def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
@@ -144,6 +145,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     """The scene in which a scene's take is baked again."""
     import bpy
 
+    from ..base.units import from_meters
     from ..take.film import FilmError, make_film
 
     source = scene.tactile_clay.film_of or scene
@@ -151,8 +153,7 @@ def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
     if arguments.resume and known:
         film = known[0]
     else:
-        scale = scene.unit_settings.scale_length
-        spacing = (arguments.spacing or 0.0) * 1e-3 / scale
+        spacing = from_meters(scene, (arguments.spacing or 0.0) * 1e-3)
         try:
             film = make_film(context, spacing=spacing, substeps=arguments.substeps)
         except FilmError as error:
@@ -211,7 +212,7 @@ def _export(arguments: argparse.Namespace) -> Outcome:
 def _deliver(arguments: argparse.Namespace) -> Outcome:
     context, scene = _open(arguments)
     from ..deliver.delivery import DeliveryError, deliver
-    from ..deliver.operators import describe
+    from ..deliver.operators import delivery_text
 
     properties = scene.tactile_clay
     if arguments.cache is not None:
@@ -243,7 +244,7 @@ def _deliver(arguments: argparse.Namespace) -> Outcome:
     return EXIT_DONE, output_text(
         arguments,
         asdict(result),
-        f"{describe(result)} ({result.particle_count:,} particles, up to "
+        f"{delivery_text(result)} ({result.particle_count:,} particles, up to "
         f"{result.vertex_count:,} vertices).\nOpen: {result.file}",
     )
 

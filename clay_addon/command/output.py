@@ -63,7 +63,7 @@ class ProgressLine:
         self._told = -1
 
     def __call__(self, progress: BakeProgress | DeliveryProgress) -> None:
-        from ..bake.operators import duration_text
+        from ..core.readable import duration_text
 
         share = progress.done / max(1, progress.total)
         left = f"{duration_text(progress.seconds_left)} left"

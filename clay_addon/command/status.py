@@ -9,12 +9,14 @@ from typing import Any
 
 import bpy
 
-from ..bake.checks import BakeError, compare, resolve_directory
-from ..bake.operators import size_text
+from ..bake.checks import compare
 from ..base.preferences import ADDON_VERSION, missing_parts
+from ..base.units import to_meters
+from ..core.readable import size_text
 from ..core.storage.cache import Cache, CacheError
 from ..hands.hand import hand_message, hand_objects, read_hand_rig
 from ..hands.reading import HandError
+from ..model.cache_folder import CacheFolderError, resolve_directory
 from ..model.clay_scene import (
     SimulationError,
     clay_objects,
@@ -41,7 +43,6 @@ def inspect(
     # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
     hands = [_describe_hand(context, item) for item in hand_objects(scene)]
     depsgraph = context.evaluated_depsgraph_get()
-    scale = scene.unit_settings.scale_length
     return {
         "file": bpy.data.filepath,
         "scene": scene.name,
@@ -51,7 +52,7 @@ def inspect(
             {
                 "name": item.name,
                 "particle_count": len(item.data.points),
-                "spacing": item.tactile_clay.spacing * scale,
+                "spacing": to_meters(scene, item.tactile_clay.spacing),
                 "preset": item.tactile_clay.material_preset,
                 "material": asdict(material_of(item)),
             }
@@ -111,7 +112,7 @@ def _describe_bake(
     }
     try:
         cache = Cache(resolve_directory(scene, directory))
-    except BakeError as error:
+    except CacheFolderError as error:
         # Not a fault yet: nobody has asked for a bake.
         return {**table, "directory_problem": str(error)}
     table["directory"] = str(cache.directory)

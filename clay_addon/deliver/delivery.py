@@ -20,6 +20,8 @@ from statistics import median
 
 import bpy
 
+from ..base.activity import ActivityKind, BusyError, clay_activity
+from ..base.units import meters_per_unit
 from ..core.storage.cache import CacheError
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
@@ -157,6 +159,23 @@ def deliver_steps(
 
     Closing it stops the delivery, and leaves everything as it was.
     """
+    try:
+        clay_activity.check_free()
+    except BusyError as error:
+        raise DeliveryError(str(error)) from error
+    frames = _deliver_frames(context, kind, start, end, directory, points, show)
+    return (yield from clay_activity.through(ActivityKind.DELIVERY, frames))
+
+
+def _deliver_frames(
+    context: bpy.types.Context,
+    kind: str,
+    start: int | None,
+    end: int | None,
+    directory: str | os.PathLike[str] | None,
+    points: bool,
+    show: bool,
+) -> Generator[DeliveryProgress, None, DeliveryResult]:
     scene = context.scene
     began = time.perf_counter()
     if kind not in KINDS:
@@ -189,7 +208,7 @@ def deliver_steps(
                     {number: folder / FRAMES_FOLDER / name for number, name in files.items()},
                     last=last,
                     frames_per_second=frames_per_second(scene),
-                    meters_per_unit=scene.unit_settings.scale_length,
+                    meters_per_unit=meters_per_unit(scene),
                 )
             _write_note(folder, kind, first, last, files, object_path)
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

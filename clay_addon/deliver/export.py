@@ -22,10 +22,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
+from ..base.units import meters_per_unit
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import Surface
 from ..core.surface.mesh_3mf import write_3mf
-from ..playback.shown_clay import Particles, ShownClayError, particles_surface
+from ..playback.shown_clay import ShownClayError, ShownParticles, particles_surface
 from .print_checks import base_area, check_print, flat_base, untangle
 
 SUFFIXES = (".stl", ".3mf", ".obj", ".ply", ".glb")
@@ -38,7 +40,7 @@ MINIMUM_WALL = 1.0
 """The thinnest wall that common printers make [mm]; resin bears half of it."""
 
 
-class ExportError(ValueError):
+class ExportError(TactileClayError, ValueError):
     """The clay cannot be exported; the message says why and what to do."""
 
 
@@ -220,7 +222,7 @@ def clay_surface(
         SurfaceError: if the particles have no surface.
     """
     scene = context.scene
-    scale = scene.unit_settings.scale_length
+    scale = meters_per_unit(scene)
     try:
         parts = [part.scaled(scale) for part in _shown(scene, objects)]
         return particles_surface(parts)
@@ -233,7 +235,7 @@ def clay_surface(
         ) from error
 
 
-def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[Particles]:
+def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[ShownParticles]:
     """The particles that are seen at the current frame, whether they are baked or not."""
     from ..playback.shown_clay import ShownClay
 

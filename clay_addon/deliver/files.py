@@ -21,7 +21,7 @@ import numpy as np
 from ..clay.look import set_input
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import Surface
-from ..playback.shown_clay import Particles
+from ..playback.shown_clay import ShownParticles
 from .nodes import FILE_COLOR, late_group
 
 VELOCITY_ATTRIBUTE = "velocity"
@@ -65,7 +65,7 @@ class FrameWriter:
         """The file of the shape first shown at a frame."""
         return self._folder / f"clay_{number:06d}.{'usdc' if self._kind == 'usd' else 'abc'}"
 
-    def write(self, number: int, surface: Surface, particles: Sequence[Particles] = ()) -> int:
+    def write(self, number: int, surface: Surface, particles: Sequence[ShownParticles] = ()) -> int:
         """Write a shape.
 
         Args:
@@ -125,7 +125,7 @@ class FrameWriter:
         scene: bpy.types.Scene,
         made: list[bpy.types.ID],
         number: int,
-        particles: Sequence[Particles],
+        particles: Sequence[ShownParticles],
     ) -> None:
         """Add a point cloud whose nodes take it from a mesh: 4.5 can size no point cloud."""
         positions = np.concatenate([part.positions for part in particles])

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import bpy
 
+from ...solver.core.errors import TactileClayError
 from ..core.storage.whole_files import lock_file
 
 NOTE = "delivery.json"
 """Marks a folder as a delivery, which may be replaced, and says what is in it."""
 
 
-class DeliveryError(Exception):
+class DeliveryError(TactileClayError):
     """The clay cannot be delivered; the message says why and what to do."""
 
 

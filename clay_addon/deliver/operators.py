@@ -4,21 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import Any
 
 import bpy
 
-from ..bake import operators as bake_operators
-from ..bake.operators import duration_text, size_text
+from ..base.modal import SteppedOperator
+from ..core.readable import duration_text, size_text
 from ..model.clay_scene import clay_objects
-from .delivery import DeliveryError, DeliveryProgress, DeliveryResult, deliver_steps
+from .delivery import DeliveryProgress, DeliveryResult, deliver_steps
 from .object import delivered_object, remove_delivery
 
-running: DeliveryProgress | None = None
-"""How far the delivery in the interface is; None while there is none."""
 
-
-def describe(result: DeliveryResult) -> str:
+def delivery_text(result: DeliveryResult) -> str:
     """What a delivery did, in a sentence or two."""
     shapes = f"{result.shapes} shapes" if result.shapes != 1 else "1 shape"
     return (
@@ -28,119 +24,41 @@ def describe(result: DeliveryResult) -> str:
     )
 
 
-class _DeliverOperator:
-    """Delivering, with or without a window."""
-
-    report: Any
-    _steps: Generator[DeliveryProgress, None, DeliveryResult] | None = None
-    _timer: bpy.types.Timer | None = None
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
-        return bool(clay_objects(context.scene))
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Deliver without an interface: to the end, or to an error."""
-        steps = self._begin(context)
-        try:
-            while True:
-                next(steps)
-        except StopIteration as finished:
-            return self._report_result(finished.value)
-        except DeliveryError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Deliver in the interface, a frame at a time."""
-        if bpy.app.background or context.window is None:
-            return self.execute(context)
-        if running is not None or bake_operators.running is not None:
-            self.report({"ERROR"}, "A bake is running already. Press Esc to stop it.")
-            return {"CANCELLED"}
-        self._steps = self._begin(context)
-        # The first step checks everything; an error in it ends the operator at once.
-        done = self._advance(context)
-        if done is not None:
-            return done
-        manager = context.window_manager
-        manager.progress_begin(0, 100)
-        self._timer = manager.event_timer_add(0.01, window=context.window)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Write one frame at each tick; Esc stops."""
-        if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
-            self.report({"INFO"}, "Stopped. Nothing was changed.")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        return self._advance(context) or {"RUNNING_MODAL"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Stop when Blender ends the operator."""
-        if self._steps is not None:
-            self._steps.close()
-        self._finish(context)
-
-    def _begin(
-        self, context: bpy.types.Context
-    ) -> Generator[DeliveryProgress, None, DeliveryResult]:
-        properties = context.scene.tactile_clay
-        return deliver_steps(
-            context, kind=properties.delivery_kind, points=properties.delivery_points
-        )
-
-    def _advance(self, context: bpy.types.Context) -> set[str] | None:
-        """Write a frame; gives how the operator ends, None while it goes on."""
-        global running
-        assert self._steps is not None
-        try:
-            running = next(self._steps)
-        except StopIteration as finished:
-            self._finish(context)
-            return self._report_result(finished.value)
-        except DeliveryError as error:
-            self._finish(context)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        except BaseException:
-            self._finish(context)
-            raise
-        context.window_manager.progress_update(100 * running.done // running.total)
-        context.workspace.status_text_set(
-            f"Writing clay: frame {running.frame}, {running.done} of {running.total}, "
-            f"{size_text(running.bytes)}, {duration_text(running.seconds_left)} left   Esc: stop"
-        )
-        return None
-
-    def _finish(self, context: bpy.types.Context) -> None:
-        global running
-        running = None
-        self._steps = None
-        manager = context.window_manager
-        if self._timer is not None:
-            manager.event_timer_remove(self._timer)
-            self._timer = None
-            manager.progress_end()
-        if context.workspace:
-            context.workspace.status_text_set(None)
-
-    def _report_result(self, result: DeliveryResult) -> set[str]:
-        self.report({"INFO"}, f"{describe(result)}. Save the .blend to keep it.")
-        return {"FINISHED"}
-
-
-class CLAY_OT_deliver(_DeliverOperator, bpy.types.Operator):  # noqa: N801
+class CLAY_OT_deliver(  # noqa: N801
+    SteppedOperator[DeliveryProgress, DeliveryResult], bpy.types.Operator
+):
     """Write the clay's surface over time and play that in place of the clay: the .blend and its
     folder then play and render anywhere. Esc stops and changes nothing"""
 
     bl_idname = "clay.deliver"
     bl_label = "Bake to USD"
     bl_options = {"REGISTER", "UNDO"}
+    stopped_text = "Stopped. Nothing was changed."
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is clay."""
+        return bool(clay_objects(context.scene))
+
+    def begin(
+        self, context: bpy.types.Context
+    ) -> Generator[DeliveryProgress, None, DeliveryResult]:
+        """Deliver as the scene's properties say."""
+        properties = context.scene.tactile_clay
+        return deliver_steps(
+            context, kind=properties.delivery_kind, points=properties.delivery_points
+        )
+
+    def status(self, step: DeliveryProgress) -> str:
+        """Frame, size and time left."""
+        return (
+            f"Writing clay: frame {step.frame}, {step.done} of {step.total}, "
+            f"{size_text(step.bytes)}, {duration_text(step.seconds_left)} left   Esc: stop"
+        )
+
+    def report_result(self, result: DeliveryResult) -> None:
+        """Say what was written."""
+        self.report({"INFO"}, f"{delivery_text(result)}. Save the .blend to keep it.")
 
 
 class CLAY_OT_deliver_remove(bpy.types.Operator):  # noqa: N801
@@ -172,7 +90,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Unregister the operators; Blender ends a delivery that runs."""
-    global running
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
-    running = None

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import bpy
 
-from ..bake.operators import duration_text
+from ..base.activity import ActivityKind, clay_activity
+from ..core.readable import duration_text
 from ..model.clay_scene import clay_objects
 from ..playback.pose_operators import chosen_clay
 from ..playback.poses import has_poses, pose_frames
-from . import operators as delivery_operators
 from .object import delivered_object
 
 
@@ -53,7 +53,7 @@ class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801
         row.active = properties.delivery_kind == "usd"
         row.prop(properties, "delivery_points")
         column.prop(properties, "delivery_directory")
-        running = delivery_operators.running
+        running = clay_activity.progress if clay_activity.kind is ActivityKind.DELIVERY else None
         if running is not None:
             layout.progress(
                 factor=running.done / max(1, running.total),

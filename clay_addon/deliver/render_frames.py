@@ -18,9 +18,10 @@ from pathlib import Path
 
 import bpy
 
+from ...solver.core.errors import TactileClayError
+from ..core.storage.playback import held_frame
 from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
-from ..model.properties import held_frame
 from ..playback.playback import cache_of, message
 from ..playback.poses import plays_itself
 from .object import delivered_object
@@ -28,7 +29,7 @@ from .object import delivered_object
 __all__ = ["FrameNotBakedError", "RenderError", "RenderProgress", "RenderResult", "render_frames"]
 
 
-class RenderError(Exception):
+class RenderError(TactileClayError):
     """Frames cannot be rendered; the message says why and what to do."""
 
 
@@ -126,8 +127,8 @@ def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
             + ". Bake first, or say with --cache where the bake is."
         )
     # Before its first frame the clay rests, which is what that frame holds.
-    first = min(baked)
-    missing = sorted({held_frame(scene, f, first) for f in frames if f >= first} - baked)
+    first, hold = min(baked), scene.tactile_clay.hold_frames
+    missing = sorted({held_frame(f, first=first, hold=hold) for f in frames if f >= first} - baked)
     if missing:
         shown = ", ".join(str(frame) for frame in missing[:8])
         more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""

@@ -12,10 +12,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...solver.core.errors import TactileClayError
 from ...solver.hand.default_hand import default_hand
 from ...solver.hand.proportions import AVERAGE, REFERENCE_LENGTH, HandProportions
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.preferences import missing_parts
+from ..base.units import meters_per_unit
 from .hand import make_hand
 from .look import add_hand_look
 
@@ -24,7 +26,7 @@ _BONE_LENGTH = 0.008
 """Of a bone as Blender keeps it: along +Y, where no finger is, so that it says nothing [m]."""
 
 
-class AddHandError(Exception):
+class AddHandError(TactileClayError):
     """The default hand cannot be added; the message says why."""
 
 
@@ -58,7 +60,7 @@ def add_hand(
         hand = default_hand(side, length=length, proportions=proportions)
     except ValueError as error:
         raise AddHandError(str(error)) from error
-    scale = context.scene.unit_settings.scale_length
+    scale = meters_per_unit(context.scene)
     name = f"{side.capitalize()} hand"
     armature = _add_armature(context, hand, name, scale)
     if matrix is not None:

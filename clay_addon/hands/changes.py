@@ -19,8 +19,7 @@ _UNCHANGED = 1e-4
 def changed_part(context: bpy.types.Context, item: bpy.types.Object, stored: StoredHand) -> str:
     """What differs from the time of binding, in words; empty where nothing does."""
     now = skinned_hand(context, item)
-    scale = context.scene.unit_settings.scale_length
-    world = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get(), scale)
+    world = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get())
     rig = stored.rig
     order = {name: index for index, name in enumerate(now.bone_names)}
     if set(order) != set(rig.bone_names):

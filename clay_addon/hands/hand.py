@@ -13,6 +13,7 @@ from ...solver.hand.rig import HandRig
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
 from ..base.preferences import missing_parts
+from ..base.units import pose_to_meters, to_meters
 from .changes import changed_part, source_digest
 from .reading import HandError, armature_matrix, hand_armature, skinned_hand, weights_digest
 from .store import (
@@ -55,7 +56,6 @@ def make_hand(
     """
     from ...solver.hand.binding import bind_hand
 
-    scale = context.scene.unit_settings.scale_length
     for sentence in missing_parts():
         raise HandError(sentence)
     if item.library is not None or (item.data is not None and item.data.library is not None):
@@ -67,10 +67,10 @@ def make_hand(
     hand = replace(hand, side=side or _side_of(item, hand))
     spacing = scene_spacing(context.scene) if clay_spacing is None else clay_spacing
     try:
-        rig = bind_hand(hand, clay_spacing=spacing * scale)
+        rig = bind_hand(hand, clay_spacing=to_meters(context.scene, spacing))
     except ValueError as error:
         raise HandError(f"{item.name!r}: {error}") from error
-    armature = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get(), scale)
+    armature = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get())
     stored = StoredHand(rig, armature, weights_digest(hand), source_digest(item))
     store_hand(item.data, stored)
     item.tactile_clay.role = "HAND"
@@ -117,7 +117,6 @@ def hand_bone_matrices(
         if is_switched_off(part, depsgraph):
             raise HandError(f"{part.name!r} {SWITCHED_OFF}")
     evaluated = rig.evaluated_get(depsgraph)
-    scale = depsgraph.scene.unit_settings.scale_length
     world = np.array(evaluated.matrix_world, np.float64)
     matrices = {}
     for bone in evaluated.pose.bones:
@@ -129,8 +128,7 @@ def hand_bone_matrices(
                 f"The bone {bone.name!r} of {rig.name!r} is not finite (NaN or infinite) at frame "
                 f"{depsgraph.scene.frame_current}."
             )
-        matrix[:3, 3] *= scale
-        matrices[bone.name] = matrix
+        matrices[bone.name] = pose_to_meters(depsgraph.scene, matrix)
     return matrices
 
 
@@ -147,7 +145,7 @@ def hand_message(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
     except HandError as error:
         return str(error)
     bound_for, wanted = 2.0 * stored_spacing(item.data), scene_spacing(scene)
-    if abs(bound_for - wanted * scene.unit_settings.scale_length) > 0.01 * bound_for:
+    if abs(bound_for - to_meters(scene, wanted)) > 0.01 * bound_for:
         return (
             f"{item.name!r} was bound for clay of another spacing. Press Make Clay Hand again, so "
             "that it fits this clay."

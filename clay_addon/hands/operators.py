@@ -7,6 +7,7 @@ import bpy
 from mathutils import Matrix
 
 from ...solver.hand.proportions import REFERENCE_LENGTH
+from ..base.units import from_meters
 from .add_hand import AddHandError, add_hand
 from .hand import make_hand, remove_hand
 from .reading import HandError, skinned_hand
@@ -103,7 +104,7 @@ class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
             self.report({"ERROR"}, "Leave the present mode first: hands are added in Object Mode.")
             return {"CANCELLED"}
         sides = {"LEFT": ("left",), "RIGHT": ("right",), "BOTH": ("left", "right")}[self.side]
-        way = _GAP * self.length / context.scene.unit_settings.scale_length
+        way = from_meters(context.scene, _GAP * self.length)
         try:
             for side in sides:
                 beside = 0.0 if len(sides) == 1 else way if side == "right" else -way

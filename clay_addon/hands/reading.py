@@ -10,14 +10,16 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
+from ..base.units import pose_to_meters, to_meters
 
 _SAME_PLACE = 1e-5
 """Vertices closer than this share of the hand's length are one: seams of textures."""
 
 
-class HandError(Exception):
+class HandError(TactileClayError):
     """An object cannot be a clay hand; the message says why and what to do."""
 
 
@@ -61,7 +63,6 @@ def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedH
     for part in (item, rig):
         if is_switched_off(part, depsgraph):
             raise HandError(f"{part.name!r} {SWITCHED_OFF}")
-    scale = context.scene.unit_settings.scale_length
     bones = [bone for bone in rig.data.bones if bone.use_deform]
     column = {bone.name: index for index, bone in enumerate(bones)}
     groups = {
@@ -74,15 +75,15 @@ def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedH
         )
     places, triangles, weights = _rest_mesh(context, item, groups, len(bones))
     matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
-    world = armature_matrix(rig, depsgraph, scale)
+    world = armature_matrix(rig, depsgraph)
     carrying = np.flatnonzero(weights.any(0)) if len(weights) else np.zeros(0, np.int64)
     if not len(carrying):
         raise HandError(f"{item.name!r} has no vertex that a bone of {rig.name!r} carries.")
     kept = [bones[index] for index in carrying]
     names = [bone.name for bone in kept]
-    rest = np.stack([_scaled(bone.matrix_local, scale) for bone in kept])
+    rest = np.stack([pose_to_meters(context.scene, bone.matrix_local) for bone in kept])
     return SkinnedHand(
-        vertices=transform(matrix, places) * scale if len(places) else places,
+        vertices=to_meters(context.scene, transform(matrix, places)) if len(places) else places,
         faces=turn_for(matrix, triangles),
         bone_names=tuple(names),
         bone_rest=world @ rest,
@@ -99,17 +100,9 @@ def _parent_index(bone: bpy.types.Bone, names: list[str]) -> int:
     return -1 if above is None else names.index(above.name)
 
 
-def _scaled(matrix: object, scale: float) -> NDArray[np.float64]:
-    """A matrix with its translation in metres."""
-    result = np.array(matrix, np.float64)
-    result[:3, 3] *= scale
-    return result
-
-
-def armature_matrix(
-    rig: bpy.types.Object, depsgraph: bpy.types.Depsgraph, scale: float
-) -> NDArray[np.float64]:
-    return _scaled(rig.evaluated_get(depsgraph).matrix_world, scale)
+def armature_matrix(rig: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> NDArray[np.float64]:
+    """World from an armature's own coordinates [m], shape [4, 4]."""
+    return pose_to_meters(depsgraph.scene, rig.evaluated_get(depsgraph).matrix_world)
 
 
 def _rest_mesh(

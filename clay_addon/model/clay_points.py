@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..clay.make_clay import make_point_cloud, write_attributes
+from .point_cloud import make_point_cloud, write_attributes
 
 BAKED_MARK = "clay_baked"
 """Custom property of points that are in a baked frame. It stands beside them, not on the object,

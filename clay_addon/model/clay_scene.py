@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.scene.material import Material
 from ...solver.scene.settings import Settings
 from ..base.mesh_geometry import transform
@@ -14,7 +15,7 @@ from ..base.preferences import device_choice, missing_parts
 from .material_properties import read_material
 
 
-class SimulationError(Exception):
+class SimulationError(TactileClayError):
     """A scene cannot be simulated; the message says why and what to do."""
 
 

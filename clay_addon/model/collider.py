@@ -4,6 +4,7 @@
 import bpy
 import numpy as np
 
+from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh
 from ..base.mesh_geometry import (
     SWITCHED_OFF,
@@ -17,7 +18,7 @@ TAKE_TOOL = "clay_take_tool"
 """Custom property of colliders that show what a tool did in a recorded take."""
 
 
-class ColliderError(Exception):
+class ColliderError(TactileClayError):
     """An object cannot be a collider; the message says why and what to do."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..base.units import meters_per_unit
 from .clay_scene import (
     checked_material,
     clay_objects,
@@ -35,7 +36,7 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
         "solver settings": digest_of(asdict(solver_settings(scene))),
         "gravity": digest_of(*gravity),
         "frame rate": digest_of(frames_per_second(scene), *([samples] if samples > 1 else [])),
-        "unit scale": digest_of(scene.unit_settings.scale_length),
+        "unit scale": digest_of(meters_per_unit(scene)),
     }
 
 

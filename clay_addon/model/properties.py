@@ -5,6 +5,8 @@ from typing import Any
 
 import bpy
 
+from ..base.signals import held_frames_changed, wheels_changed
+from ..base.units import from_meters
 from .material_presets import (
     CUSTOM,
     MISSING,
@@ -42,9 +44,7 @@ def _become_custom(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _show_held(properties: Any, context: bpy.types.Context) -> None:
-    from ..playback.playback import refresh
-
-    refresh(properties.id_data)
+    held_frames_changed.send(properties.id_data)
 
 
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
@@ -53,15 +53,13 @@ def _tag_object(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
-    from ..wheel.wheel import refresh
-
     _tag_object(properties, context)
-    refresh(context.scene)
+    wheels_changed.send(context.scene)
 
 
 def _get_spacing(properties: Any) -> float:
     # Half a centimetre whatever the scene's unit scale, until a value is chosen.
-    return properties.spacing_chosen or 0.005 / properties.id_data.unit_settings.scale_length
+    return properties.spacing_chosen or from_meters(properties.id_data, 0.005)
 
 
 def _set_spacing(properties: Any, value: float) -> None:
@@ -288,18 +286,6 @@ def frame_range(scene: bpy.types.Scene) -> tuple[int, int]:
     if properties.use_scene_range:
         return scene.frame_start, scene.frame_end
     return properties.frame_start, properties.frame_end
-
-
-def held_frame(scene: bpy.types.Scene, number: int, first: int) -> int:
-    """The frame whose shape is shown at another one, where each is held for some frames.
-
-    Args:
-        scene: Its setting counts.
-        number: The frame at which it is shown.
-        first: The first frame of the bake.
-    """
-    hold = scene.tactile_clay.hold_frames
-    return first + (number - first) // hold * hold
 
 
 _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import bpy
 
+from ...solver.core.errors import TactileClayError
 from ...solver.scene.material import MATERIAL_FIELDS, Material
 from ..base.preferences import ADDON
 
@@ -33,7 +34,7 @@ _FRESH_SECONDS = 1.0
 _DEVICE_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)$")
 
 
-class UserMaterialError(Exception):
+class UserMaterialError(TactileClayError):
     """A material cannot be saved or removed; the message says why and what to do."""
 
 

@@ -8,45 +8,30 @@ the cache is there.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import bpy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..clay.look import get_input, set_input
+from ...solver.core.errors import TactileClayError
+from ..base.mesh_geometry import local_from_world, transform
+from ..clay.look import set_input
 from ..core.storage.cache import Cache, CacheError
-from ..model.properties import held_frame
+from ..core.storage.playback import Playback, held_frame
+from ..model.clay_scene import clay_objects
+from .packed import FRAME_ATTRIBUTE, MODIFIER_NAME, is_packed, packed_attributes
+from .playback import cache_of, is_bake_of, refresh
 
 NODE_GROUP_NAME = "Clay Playback"
-MODIFIER_NAME = "Clay Playback"
-FRAME_ATTRIBUTE = ".clay_frame_"
-"""A leading dot keeps hundreds of attributes out of the lists in the interface."""
 _MARK = "tactile_clay_playback"
 _VERSION = 2
 _FLOAT_EXACT = 2**24
 """Frames beyond this cannot be told apart by the nodes."""
 
 
-class PackError(ValueError):
+class PackError(TactileClayError, ValueError):
     """Frames cannot be packed; the message says why and what to do."""
-
-
-def is_packed(clay: bpy.types.Object) -> bool:
-    """Return whether an object plays frames packed inside the .blend.
-
-    Its point cloud then needs nothing from a cache: writing to its positions would change nothing
-    that is seen.
-    """
-    modifier = clay.modifiers.get(MODIFIER_NAME)
-    return (
-        clay.type == "POINTCLOUD"
-        and modifier is not None
-        and modifier.type == "NODES"
-        and modifier.node_group is not None
-        and bool(_packed_attributes(clay))
-    )
 
 
 def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int = 1) -> None:
@@ -82,33 +67,6 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int =
     clay.data.update_tag()
 
 
-def packed_positions(clay: bpy.types.Object, frame: float) -> NDArray[np.float32]:
-    """Return the positions that a packed object shows at a frame.
-
-    Args:
-        clay: An object for which `is_packed` holds.
-        frame: Frame number, with a fraction between two frames.
-
-    Returns:
-        Positions in the object's coordinates [Blender units], shape [N, 3].
-    """
-    numbers = [int(name.removeprefix(FRAME_ATTRIBUTE)) for name in _packed_attributes(clay)]
-    first = min(numbers)
-    frame = min(max(frame, first), max(numbers))
-    try:
-        hold = get_input(clay.modifiers[MODIFIER_NAME], "Hold")
-    except KeyError:
-        # Packed before shapes could be held.
-        hold = 1
-    if hold > 1:
-        frame = first + math.floor((frame - first) / hold) * hold
-    low, high = (np.empty((len(clay.data.points), 3), np.float32) for _ in range(2))
-    for number, values in ((math.floor(frame), low), (math.ceil(frame), high)):
-        layer = clay.data.attributes[f"{FRAME_ATTRIBUTE}{number}"]
-        layer.data.foreach_get("vector", values.ravel())
-    return (high - low) * np.float32(frame - math.floor(frame)) + low
-
-
 def unpack(clay: bpy.types.Object) -> bool:
     """Take packed frames out of an object again.
 
@@ -139,10 +97,6 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         PackError: if there is no clay, no bake, a bake of other clay, or a missing frame.
         CacheError: if the cache cannot be read.
     """
-    from ..base.mesh_geometry import local_from_world, transform
-    from ..model.clay_scene import clay_objects
-    from .playback import cache_of, is_bake_of
-
     clay = clay_objects(scene)
     if not clay:
         raise PackError("There is no clay in this scene.")
@@ -151,20 +105,22 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     hold = scene.tactile_clay.hold_frames
     if cache is None or not numbers:
         raise PackError("There is no bake to pack. Bake first.")
-    meta = cache.meta()
+    playback = Playback(cache)
+    meta = playback.meta()
     if not is_bake_of(meta, clay):
         raise PackError("The bake is of other clay than the scene has now. Bake again.")
     try:
         inverse = [local_from_world(item) for item in clay]
     except ValueError as error:
         raise PackError(f"{error}.") from error
-    splits = np.cumsum([part.count for part in meta.clay])[:-1]
     frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
     # Frames that are held over need not be stored.
-    kept = [number for number in numbers if held_frame(scene, number, numbers[0]) == number]
+    kept = [
+        number for number in numbers if held_frame(number, first=numbers[0], hold=hold) == number
+    ]
     for number in kept:
-        world = cache.read_frame(number, meta=meta).positions
-        for part, matrix, positions in zip(frames, inverse, np.split(world, splits), strict=True):
+        world = playback.frame(number).positions
+        for part, matrix, positions in zip(frames, inverse, world, strict=True):
             part[number] = transform(matrix, positions).astype(np.float32)
     checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
     for item, part in zip(clay, checked, strict=True):
@@ -213,13 +169,9 @@ def _checked_frames(
     return checked
 
 
-def _packed_attributes(clay: bpy.types.Object) -> list[str]:
-    return [item.name for item in clay.data.attributes if item.name.startswith(FRAME_ATTRIBUTE)]
-
-
 def _remove_attributes(clay: bpy.types.Object) -> None:
     # By name each time: removing one may move the others in memory.
-    for name in _packed_attributes(clay):
+    for name in packed_attributes(clay):
         clay.data.attributes.remove(clay.data.attributes[name])
 
 
@@ -312,8 +264,6 @@ class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is clay."""
-        from ..model.clay_scene import clay_objects
-
         return bool(clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -341,15 +291,10 @@ class CLAY_OT_unpack(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only where there is packed clay."""
-        from ..model.clay_scene import clay_objects
-
         return any(is_packed(item) for item in clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Unpack all clay of the scene."""
-        from ..model.clay_scene import clay_objects
-        from .playback import refresh
-
         count = sum(unpack(item) for item in clay_objects(context.scene))
         refresh(context.scene)
         self.report({"INFO"}, f"{count} clay objects play from the cache again")

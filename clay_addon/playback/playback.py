@@ -11,32 +11,57 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..bake.checks import BakeError, resolve_directory
 from ..base.app_handlers import add_handlers, remove_handlers
 from ..base.mesh_geometry import local_from_world, transform
+from ..base.signals import held_frames_changed
 from ..core.storage.cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
+from ..core.storage.playback import Playback
+from ..core.storage.playback import shown_frame as baked_frame
+from ..model.cache_folder import CacheFolderError, resolve_directory
 from ..model.clay_points import BAKED_MARK, is_sculpted, write_points
 from ..model.clay_scene import SimulationError, clay_objects, read_points
 from ..model.digest import clay_digest
-from ..model.properties import held_frame
-from .pack import is_packed
+from .packed import is_packed
 
-_messages: dict[str, str] = {}
-_metas: dict[Path, tuple[int, Meta]] = {}
-_pauses = 0
+
+class Timeline:
+    """What playback keeps between two frames."""
+
+    def __init__(self) -> None:
+        self.messages: dict[str, str] = {}
+        """What is wrong with the frame shown, by the scene's name."""
+        self.pauses = 0
+        """How many `paused` contexts are open."""
+        self._playbacks: dict[Path, Playback] = {}
+
+    def playback(self, scene: bpy.types.Scene) -> Playback | None:
+        """The playback of a scene's cache; None where the folder is not known."""
+        cache = cache_of(scene)
+        if cache is None:
+            return None
+        return self._playbacks.setdefault(cache.directory, Playback(cache))
+
+    def forget(self) -> None:
+        """Drop what was read, and all messages."""
+        self.messages.clear()
+        self._playbacks.clear()
+
+
+timeline = Timeline()
+"""One for the process, since Blender calls its handlers without any state."""
 
 
 def cache_of(scene: bpy.types.Scene) -> Cache | None:
-    """The scene's cache; None where its folder cannot be told, as of a .blend never saved."""
+    """The scene's cache; None where its folder is unknown, as in a .blend that was never saved."""
     try:
         return Cache(resolve_directory(scene))
-    except BakeError:
+    except CacheFolderError:
         return None
 
 
 def message(scene: bpy.types.Scene) -> str:
     """What is wrong with the frame shown; empty where nothing is."""
-    return _messages.get(scene.name, "")
+    return timeline.messages.get(scene.name, "")
 
 
 def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
@@ -47,18 +72,18 @@ def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
         during_bake: Show it although playback is `paused`.
     """
     clay = clay_objects(scene)
-    if not clay or (_pauses and not during_bake):
+    if not clay or (timeline.pauses and not during_bake):
         return
     if all(is_packed(item) for item in clay):
         # The file plays by itself, and must do so where the cache is gone.
-        _messages.pop(scene.name, None)
+        timeline.messages.pop(scene.name, None)
         return
     try:
-        _messages.pop(scene.name, None)
+        timeline.messages.pop(scene.name, None)
         _show(scene, clay)
     except CacheError as error:
         # The last good shape stays.
-        _messages[scene.name] = f"Frame {scene.frame_current}: {error}."
+        timeline.messages[scene.name] = f"Frame {scene.frame_current}: {error}."
 
 
 def shown_frame(scene: bpy.types.Scene) -> int | None:
@@ -69,8 +94,8 @@ def shown_frame(scene: bpy.types.Scene) -> int | None:
     """
     if all(is_packed(item) for item in clay_objects(scene)):
         return scene.frame_current
-    cache = cache_of(scene)
-    frames = cache.frames() if cache else []
+    playback = timeline.playback(scene)
+    frames = playback.frames() if playback else []
     return _wanted(scene, frames) if frames else None
 
 
@@ -95,25 +120,24 @@ def show_rest(scene: bpy.types.Scene) -> None:
 @contextmanager
 def paused() -> Iterator[None]:
     """Leave the point clouds alone while the frame changes inside the context."""
-    global _pauses
-    _pauses += 1
+    timeline.pauses += 1
     try:
         yield
     finally:
-        _pauses -= 1
+        timeline.pauses -= 1
 
 
 def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
-    cache = cache_of(scene)
-    frames = cache.frames() if cache else []
-    if cache is None or not frames:
+    playback = timeline.playback(scene)
+    frames = playback.frames() if playback else []
+    if playback is None or not frames:
         show_rest(scene)
         return
     if any(is_sculpted(item) for item in clay):
         show_rest(scene)
         raise CacheError("the clay was sculpted since it was baked. Bake again, or undo")
     try:
-        meta = _meta(cache)
+        meta = playback.meta()
     except CacheError as error:
         raise CacheError(f"{error}. Bake again") from error
     if not is_bake_of(meta, clay):
@@ -124,23 +148,20 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
     if wanted not in frames:
         raise CacheMissingError("it is missing in the bake. Press Resume")
     try:
-        positions = cache.read_frame(wanted, meta=meta).positions
+        positions = playback.frame(wanted).positions
         inverse = [local_from_world(item) for item in clay]
     except CacheDamagedError as error:
         raise CacheDamagedError(f"{error}. Press Resume to bake it again") from error
     except ValueError as error:
         raise CacheError(str(error)) from error
-    first = 0
-    for item, matrix in zip(clay, inverse, strict=True):
-        count = len(item.data.points)
-        write_points(item, transform(matrix, positions[first : first + count]))
+    for item, matrix, rows in zip(clay, inverse, positions, strict=True):
+        write_points(item, transform(matrix, rows))
         if BAKED_MARK not in item.data:
             item.data[BAKED_MARK] = True
-        first += count
 
 
 def _wanted(scene: bpy.types.Scene, frames: list[int]) -> int:
-    return held_frame(scene, min(max(scene.frame_current, frames[0]), frames[-1]), frames[0])
+    return baked_frame(frames, scene.frame_current, hold=scene.tactile_clay.hold_frames)
 
 
 def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
@@ -156,18 +177,6 @@ def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
         return False
 
 
-def _meta(cache: Cache) -> Meta:
-    """The bake's meta.json, read again only when it has changed."""
-    try:
-        stamp = (cache.directory / "meta.json").stat().st_mtime_ns
-    except OSError:
-        return cache.meta()
-    known = _metas.get(cache.directory)
-    if known is None or known[0] != stamp:
-        known = _metas[cache.directory] = (stamp, cache.meta())
-    return known[1]
-
-
 @persistent
 def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
     refresh(scene)
@@ -175,8 +184,7 @@ def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | No
 
 @persistent
 def _on_reload(*_: object) -> None:
-    _messages.clear()
-    _metas.clear()
+    timeline.forget()
     for scene in bpy.data.scenes:
         if clay_objects(scene):
             # Right after loading, and after Undo, the objects' world matrices are not there yet.
@@ -196,10 +204,11 @@ _HANDLERS = (
 def register() -> None:
     """Add the handlers, each once."""
     add_handlers(_HANDLERS)
+    held_frames_changed.connect(refresh)
 
 
 def unregister() -> None:
     """Remove the handlers."""
+    held_frames_changed.disconnect(refresh)
     remove_handlers(_HANDLERS)
-    _messages.clear()
-    _metas.clear()
+    timeline.forget()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.clay_scene import clay_objects, read_points
-from .pack import is_packed, packed_positions
+from .packed import is_packed, packed_positions
 from .poses import PoseError, has_poses, key_clay, key_pose, pose_at, remove_key, take_pose
 
 

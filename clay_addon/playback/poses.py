@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stop motion: sculpted shapes as keys on the timeline.
 
-Each keyed shape is a point cloud of its own, with particles and colours as they were, so their
+Each keyed shape is a separate point cloud that keeps its particles and colors, so their
 number may differ from key to key. A geometry nodes modifier on the clay shows the one whose number
 its input *Pose* has; 0 is the clay itself, simulated or sculpted. That input carries ordinary
 keyframes with constant interpolation: in the dope sheet they are moved, copied and deleted like any
@@ -14,11 +14,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import find_curve
 from ..clay.look import get_input, input_path, set_input
 from ..model.clay_points import BAKED_MARK, SCULPTED_MARK
-from .pack import FRAME_ATTRIBUTE, is_packed
-from .pack import MODIFIER_NAME as PLAYBACK_MODIFIER
+from .packed import FRAME_ATTRIBUTE, is_packed
+from .packed import MODIFIER_NAME as PLAYBACK_MODIFIER
 
 NODE_GROUP_NAME = "Clay Poses"
 MODIFIER_NAME = "Clay Poses"
@@ -28,7 +29,7 @@ _MARK = "tactile_clay_poses"
 _VERSION = 1
 
 
-class PoseError(ValueError):
+class PoseError(TactileClayError, ValueError):
     """A pose cannot be keyed or taken; the message says why and what to do."""
 
 
@@ -218,7 +219,7 @@ def _own_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
 
 
 def _poses(modifier: bpy.types.Modifier) -> dict[int, bpy.types.Object]:
-    """The shapes by their numbers."""
+    """Shapes by number."""
     found = {}
     switch = modifier.node_group.nodes[_SWITCH]
     for link in modifier.node_group.links:

@@ -11,36 +11,37 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import find_curve
 from ..base.mesh_geometry import transform
-from ..core.storage.cache import Cache, Meta
+from ..core.storage.cache import Cache
+from ..core.storage.playback import Playback, shown_frame
 from ..core.surface.exact import Surface, reconstruct
 from ..model.clay_points import is_sculpted, present_rows
 from ..model.clay_scene import clay_colors, read_points
-from ..model.properties import held_frame
-from .pack import is_packed, packed_positions
+from .packed import is_packed, packed_positions
 from .playback import is_bake_of
 from .poses import pose_at
 
 
-class ShownClayError(ValueError):
+class ShownClayError(TactileClayError, ValueError):
     """The clay has no shape at a frame; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
-class Particles:
+class ShownParticles:
     """Particles of a clay object in world space."""
 
     positions: NDArray[np.float64]
-    """Shape [N, 3]; Blender units, or metres where scaled so."""
+    """Shape [N, 3]; Blender units, or meters where scaled so."""
     colors: NDArray[np.float32]
     """Linear RGBA, 0..1, shape [N, 4]."""
     velocities: NDArray[np.float32]
     """Shape [N, 3], per second; 0 where a shape is held."""
     spacing: float
-    """Distance between neighbours, in the unit of the positions."""
+    """Distance between neighbors, in the unit of the positions."""
 
-    def scaled(self, scale: float) -> Particles:
+    def scaled(self, scale: float) -> ShownParticles:
         """The same in another unit."""
         return replace(
             self,
@@ -71,24 +72,23 @@ class ShownClay:
         self._scene = scene
         self._objects = list(objects)
         self._spacings = [world_spacing(item) for item in objects]
-        self._cache = cache
-        self._meta: Meta | None = None
+        self._playback: Playback | None = None
         self.baked: list[int] = []
         """Numbers of the baked frames, sorted; none where the clay plays no bake."""
         self.sculpted = False
         """Whether the clay was sculpted since it was baked, so that it does not play that."""
         if cache is not None and cache.exists() and not all(is_packed(item) for item in objects):
-            meta = cache.meta()
-            if is_bake_of(meta, self._objects):
+            playback = Playback(cache)
+            if is_bake_of(playback.meta(), self._objects):
                 self.sculpted = any(is_sculpted(item) for item in objects)
                 if not self.sculpted:
-                    self._meta, self.baked = meta, cache.frames()
+                    self._playback, self.baked = playback, playback.frames()
 
     def key(self, number: int) -> tuple[tuple[object, ...], ...]:
         """What tells shapes apart: two frames with equal keys show the same."""
         return tuple(self._key(item, number) for item in self._objects)
 
-    def read(self, number: int) -> list[Particles]:
+    def read(self, number: int) -> list[ShownParticles]:
         """The particles of each object at a frame, in Blender units.
 
         Args:
@@ -98,19 +98,19 @@ class ShownClay:
             ShownClayError: if an object has no shape there.
             CacheError: if the frame is missing in the bake, or damaged.
         """
-        if self._meta is None or not any(self._is_baked(item, number) for item in self._objects):
+        if self._playback is None or not any(
+            self._is_baked(item, number) for item in self._objects
+        ):
             return [
                 self._read_own(item, spacing, number)
                 for item, spacing in zip(self._objects, self._spacings, strict=True)
             ]
-        assert self._cache is not None
         wanted = self._baked_frame(number)
         if wanted not in self.baked:
             raise ShownClayError(f"Frame {wanted} is missing in the bake. Press Resume.")
-        frame = self._cache.read_frame(wanted, meta=self._meta)
-        splits = np.cumsum([part.count for part in self._meta.clay])[:-1]
+        frame = self._playback.frame(wanted)
         held = self._scene.tactile_clay.hold_frames > 1
-        velocities = np.zeros_like(frame.velocities) if held else frame.velocities
+        velocities = [np.zeros_like(each) if held else each for each in frame.velocities]
         return [
             _present(item, positions, motion, spacing, np.eye(4))
             if self._is_baked(item, number)
@@ -118,8 +118,8 @@ class ShownClay:
             for item, spacing, positions, motion in zip(
                 self._objects,
                 self._spacings,
-                np.split(frame.positions, splits),
-                np.split(velocities, splits),
+                frame.positions,
+                velocities,
                 strict=True,
             )
         ]
@@ -128,8 +128,7 @@ class ShownClay:
         return bool(self.baked) and not is_packed(item) and pose_at(item, number) is None
 
     def _baked_frame(self, number: int) -> int:
-        first, last = self.baked[0], self.baked[-1]
-        return held_frame(self._scene, min(max(number, first), last), first)
+        return shown_frame(self.baked, number, hold=self._scene.tactile_clay.hold_frames)
 
     def _key(self, item: bpy.types.Object, number: int) -> tuple[object, ...]:
         pose = pose_at(item, number)
@@ -140,7 +139,7 @@ class ShownClay:
             return ("packed", number)
         return ("baked", self._baked_frame(number)) if self.baked else ("own", *where)
 
-    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> Particles:
+    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> ShownParticles:
         """Particles of a keyed, packed or sculpted shape, which goes with its object."""
         pose = pose_at(item, number)
         if pose is None and is_packed(item):
@@ -159,10 +158,10 @@ def _present(
     velocities: NDArray[np.float32],
     spacing: float,
     matrix: Any,
-) -> Particles:
+) -> ShownParticles:
     """Those of a clay object's particles that are there."""
     there = present_rows(held, positions)
-    return Particles(
+    return ShownParticles(
         transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
     )
 
@@ -204,7 +203,7 @@ def world_spacing(item: bpy.types.Object) -> float:
 
 
 def particles_surface(
-    parts: Sequence[Particles], *, moving: bool = False
+    parts: Sequence[ShownParticles], *, moving: bool = False
 ) -> tuple[Surface, int, float]:
     """Reconstruct the surface of clay; objects of one spacing that touch become one piece.
 
@@ -219,7 +218,7 @@ def particles_surface(
         SurfaceError: if the particles have no surface.
         ImportError: if pysplashsurf is missing.
     """
-    groups: dict[float, list[Particles]] = {}
+    groups: dict[float, list[ShownParticles]] = {}
     for part in parts:
         # Single precision in the properties must not keep equal spacings apart.
         groups.setdefault(float(f"{part.spacing:.5g}"), []).append(part)

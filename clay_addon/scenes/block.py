@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.scene.material import Material
+from ..base.units import from_meters, meters_per_unit
 from ..clay.make_clay import make_clay
 from ..clay.meshes import ClayError
 from ..model.clay_scene import clay_objects, collider_objects
@@ -45,10 +46,10 @@ def new_spacing(scene: bpy.types.Scene, spacing: float, preset: float) -> float:
     there = clay_objects(scene)
     if not there:
         chosen = scene.tactile_clay.spacing_chosen
-        return spacing or chosen or preset / scene.unit_settings.scale_length
+        return spacing or chosen or from_meters(scene, preset)
     common = float(there[0].tactile_clay.spacing)
     if spacing and abs(spacing - common) > 1e-6 * common:
-        millimeters = 1e3 * scene.unit_settings.scale_length
+        millimeters = 1e3 * meters_per_unit(scene)
         raise ClayError(
             f"All clay of a scene needs the same spacing: {there[0].name!r} has "
             f"{common * millimeters:.3g} mm, not {spacing * millimeters:.3g} mm. Use that, or "

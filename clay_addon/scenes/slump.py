@@ -15,6 +15,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...solver.scene.material import Material
+from ..base.units import meters_per_unit
 from ..model.clay_scene import collider_objects
 from .block import clay_from, new_spacing
 from .parts import mesh_object, plain_material
@@ -79,7 +80,7 @@ def add_slump_test(
     """
     scene = context.scene
     data = scene_preset("slump")
-    scale = scene.unit_settings.scale_length
+    scale = meters_per_unit(scene)
     spacing = new_spacing(scene, spacing, data["spacing"])
     height = height or spacing * data["height"] / data["spacing"]
     material = Material(**data["material"])

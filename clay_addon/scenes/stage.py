@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from ..base.units import from_meters
 from ..model.collider import make_collider
 from .parts import Vec3, mesh_object, plain_material
 
@@ -37,7 +38,7 @@ def add_table(context: bpy.types.Context, place: Sequence[float]) -> bpy.types.O
         context: Its collection takes it.
         place: The top's middle [Blender units].
     """
-    half = _TABLE_HALF / context.scene.unit_settings.scale_length
+    half = from_meters(context.scene, _TABLE_HALF)
     corners = half * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], np.float64)
     top = mesh_object("Table", corners, [(0, 1, 2, 3)])
     top.location = place

@@ -1,2 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sculpting live: a session in which clay moves under tracked hands and the mouse."""
+"""Live sculpting with tracked hands and the mouse: operators, panel, brush settings, overlay.
+
+The session itself is in `live`.
+"""

@@ -8,16 +8,16 @@ from typing import Any
 import bpy
 
 from ..core.tools.tools import BY_IDENTIFIER, TOOLS, tool_items
-from . import session
+from .live.current import current
 from .properties import stamp_fault
 
 
 class CLAY_OT_sculpt_tool(bpy.types.Operator):  # noqa: N801
-    """Take another tool"""
+    """Choose a tool"""
 
     bl_idname = "clay.sculpt_tool"
-    bl_label = "Take Tool"
-    # Which tool one holds is no step of Undo.
+    bl_label = "Choose Tool"
+    # Choosing a tool is not an undo step.
     bl_options = {"INTERNAL"}
 
     tool: bpy.props.EnumProperty(name="Tool", items=tool_items())
@@ -28,7 +28,7 @@ class CLAY_OT_sculpt_tool(bpy.types.Operator):  # noqa: N801
         return BY_IDENTIFIER[properties.tool].description
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Take it."""
+        """Choose it."""
         context.scene.tactile_clay_sculpt.tool = self.tool
         return {"FINISHED"}
 
@@ -49,7 +49,7 @@ class CLAY_MT_sculpt_tools(bpy.types.Menu):  # noqa: N801
 
 
 def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
-    """The brush's settings, those that its tool knows.
+    """Draw the settings of the brush that its tool uses.
 
     Args:
         layout: Where to draw.
@@ -86,7 +86,7 @@ def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
 
 
 def _draw_in_header(self: Any, context: bpy.types.Context) -> None:
-    if session.current is None:
+    if current.session is None:
         return
     layout = self.layout
     layout.separator()
@@ -105,7 +105,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take them away."""
+    """Remove them again."""
     bpy.types.VIEW3D_HT_tool_header.remove(_draw_in_header)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

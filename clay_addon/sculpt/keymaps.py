@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Alt C in Object Mode begins sculpting; Blender itself has nothing on that key."""
+"""Alt C in Object Mode starts sculpting; Blender itself does not use that key."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _entries: list[tuple[Any, Any]] = []
 
 
 def register() -> None:
-    """Add the key to the extensions' own keymap, where people can change it."""
+    """Add the key to the add-on keymap, where users can change it."""
     keyconfig = bpy.context.window_manager.keyconfigs.addon
-    # In the background there is none.
+    # There is none in the background.
     if keyconfig is None or _entries:
         return
     keymap = keyconfig.keymaps.new(name="Object Mode", space_type="EMPTY")
@@ -21,7 +21,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take the key away."""
+    """Remove the key."""
     while _entries:
         keymap, entry = _entries.pop()
         keymap.keymap_items.remove(entry)

@@ -1,31 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sculpt: the modal operator that runs the live session, and the ways to end it."""
+"""The Sculpt operator, which runs the live session, and the operators that end or revert it."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.redraw import redraw_views
+from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
 from ..clay.look import show_colors
 from ..core.brush.brush import Brush
 from ..model.clay_points import keep_sculpted, replace_points
-from . import overlay, session
+from .live.checks import SculptError
+from .live.current import current
+from .live.session import SculptSession
+from .overlay import overlay
 from .properties import SceneSource
-from .session import SculptSession
-from .session_checks import SculptError
 
 _TICK_SECONDS = 1.0 / 120.0
-"""Twice the rate of steps, so that the solver hardly waits for the next tick."""
+"""Twice the rate of steps, so that the solver hardly waits for the next tick [s]."""
 _PEDAL = {"PAGE_UP": 10.0, "PAGE_DOWN": -10.0}
-"""Keys that make a potter's wheel faster and slower [rpm]."""
+"""Keys that change the speed of a potter's wheel, and by how much [rpm]."""
 _COMPILING_AFTER = 0.5
-"""Getting ready for longer than this [s] means that kernels are being compiled."""
+"""If the solver takes longer than this to get ready, kernels are being compiled [s]."""
 
 
 class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
-    """Work the clay live, with tracked hands and the mouse; Esc ends and keeps what was done"""
+    """Sculpt the clay live, with tracked hands and the mouse; Esc ends and keeps the result"""
 
     bl_idname = "clay.sculpt"
     bl_label = "Sculpt"
@@ -39,10 +41,10 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only one session at a time."""
-        return session.current is None
+        return current.session is None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Refuse where there is no window: a session goes by the clock of who looks at it."""
+        """Refuse without a window: a session runs in real time, for somebody who watches."""
         self.report({"ERROR"}, "Sculpt needs a window. To simulate without one, use Bake.")
         return {"CANCELLED"}
 
@@ -52,7 +54,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             return self.execute(context)
         try:
             self._brush = Brush(SceneSource(context.scene))
-            self._session = session.start(context, self._brush)
+            self._session = current.start(context, self._brush)
             overlay.show(self._brush)
         except SculptError as error:
             self.report({"ERROR"}, str(error))
@@ -65,10 +67,10 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Do what the timer, the mouse or a key asks for."""
+        """Handle the timer, the mouse and keys."""
         running, brush = self._session, self._brush
-        # It may have been ended from elsewhere: Finish, another file, the extension switched off.
-        if running is None or brush is None or session.current is not running:
+        # Finish, another file or disabling the extension may have ended it.
+        if running is None or brush is None or current.session is not running:
             return self._end(context)
         try:
             if event.type == "TIMER":
@@ -77,8 +79,11 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 if news:
                     redraw_views()
                 return {"PASS_THROUGH"}
-            if brush.handle(context, event, running.positions):
+            if brush.handle(context, event):
                 redraw_views()
+                return {"RUNNING_MODAL"}
+            if opens_tool_menu(event, brush):
+                bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")
                 return {"RUNNING_MODAL"}
             if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
                 running.wheels.press_pedal(context.scene, _PEDAL[event.type])
@@ -89,17 +94,17 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             self.report({"ERROR"}, f"Sculpting has ended. {error}")
             return self._end(context)
         except BaseException:
-            # Nothing may go on half.
+            # Never leave a session half running.
             self._end(context)
             raise
         return {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End when Blender ends the operator: another file, the window closed."""
+        """End with the operator, as when Blender opens another file or closes the window."""
         self._end(context)
 
     def _say(self, context: bpy.types.Context) -> None:
-        """Say in the status bar what goes on, where that has changed."""
+        """Update the status bar if its text has changed."""
         assert self._session is not None and self._brush is not None
         text = status_text(self._session, self._brush)
         if text != self._said and context.workspace:
@@ -116,8 +121,8 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             self._brush.cancel()
             self._brush = None
         if running is not None:
-            if session.current is running:
-                session.stop(context)
+            if current.session is running:
+                current.stop(context)
             for message in running.messages:
                 self.report({"INFO"}, message)
         if context.workspace:
@@ -127,7 +132,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_sculpt_finish(bpy.types.Operator):  # noqa: N801
-    """End sculpting, and keep what was done"""
+    """End sculpting and keep the clay"""
 
     bl_idname = "clay.sculpt_finish"
     bl_label = "Finish"
@@ -136,16 +141,16 @@ class CLAY_OT_sculpt_finish(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while a session runs."""
-        return session.current is not None
+        return current.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """End the session; its operator sees that at its next event."""
-        session.stop(context)
+        """End the session; its operator notices at its next event."""
+        current.stop(context)
         return {"FINISHED"}
 
 
 class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
-    """Take back all that the last session did, in one step that Undo can take back itself"""
+    """Revert everything that the last session did, in one undo step"""
 
     bl_idname = "clay.sculpt_revert"
     bl_label = "Revert Session"
@@ -153,13 +158,13 @@ class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where it is known how the session began, and none runs."""
-        return session.current is None and bool(session.first)
+        """Only if the clay before the last session is known, and no session is running."""
+        return current.session is None and bool(current.clay_before)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Give each clay object the points it had."""
+        """Give each clay object the points it had before."""
         found = 0
-        for name, (local, colors) in session.first.items():
+        for name, (local, colors) in current.clay_before.items():
             item = context.scene.objects.get(name)
             if item is None or item.type != "POINTCLOUD" or item.tactile_clay.role != "CLAY":
                 continue
@@ -172,13 +177,23 @@ class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
         return {"FINISHED"}
 
 
+def opens_tool_menu(event: Any, brush: Brush) -> bool:
+    """Whether an event asks for the menu of tools, on the key of Blender's own toolbar popup."""
+    return bool(
+        event.type == "SPACE"
+        and event.shift
+        and event.value == "PRESS"
+        and brush.pointer is not None
+    )
+
+
 def status_text(running: SculptSession, brush: Brush) -> str:
-    """What goes on, in a line for the status bar."""
+    """What the session is doing, as a line for the status bar."""
     seconds = running.compiling_seconds
     if seconds > _COMPILING_AFTER:
         return (
-            f"Compiling the clay's kernels: {seconds:.0f} s. This is so once after installing, and "
-            "takes about a minute   Esc: stop"
+            f"Compiling the clay's kernels: {seconds:.0f} s. This happens once after installing "
+            "and takes about a minute   Esc: stop"
         )
     factor = round(10.0 * running.factor)
     pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
@@ -188,26 +203,26 @@ def status_text(running: SculptSession, brush: Brush) -> str:
 
 @persistent
 def _on_load_pre(*_: object) -> None:
-    # What was sculpted since the file was saved goes with it, as all that was not saved.
-    session.stop(None)
+    # What was sculpted since the file was saved is lost like all unsaved changes.
+    current.stop(None)
 
 
 @persistent
 def _on_undo(*_: object) -> None:
-    if session.current is not None:
-        session.current.undone()
+    if current.session is not None:
+        current.session.undone()
 
 
 @persistent
 def _on_save_pre(*_: object) -> None:
-    if session.current is not None:
-        session.current.before_saving(bpy.context.scene)
+    if current.session is not None:
+        current.session.before_saving(bpy.context.scene)
 
 
 @persistent
 def _on_save_post(*_: object) -> None:
-    if session.current is not None:
-        session.current.autosave.forget()
+    if current.session is not None:
+        current.session.autosave.forget()
 
 
 _HANDLERS = (
@@ -228,8 +243,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """End a session that runs; take all away."""
-    session.stop(bpy.context)
+    """End the session that runs, if any; unregister everything."""
+    current.stop(bpy.context)
     remove_handlers(_HANDLERS)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

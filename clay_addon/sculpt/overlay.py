@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse, drawn over the 3D view: it is no object, so Undo, files and the outliner
-know nothing of it."""
+"""The tool in the mouse, drawn over the 3D view. It is not an object, so Undo, files and the
+Outliner do not contain it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.geometry.rotations import frame_of, tangent_of
+from ..base.units import meters_per_unit
 from ..core.brush.brush import Brush
 from ..core.brush.mirror import mirror_matrices
 from ..core.tools.settings import ToolMesh
 
 _FELT = (0.82, 0.80, 0.76, 0.92)
 _UNFELT = (0.82, 0.80, 0.76, 0.45)
-"""Colours of a tool that the clay feels, and of one that hovers; linear RGBA."""
+"""Colors of a tool that the clay feels, and of one that hovers; linear RGBA."""
 _RING = (1.0, 1.0, 1.0, 0.55)
 _ARC = (1.0, 0.55, 0.25, 0.95)
 _SEGMENTS = 64
@@ -43,133 +44,138 @@ void main()
 }
 """
 
-_brush: Brush | None = None
-_handle: Any = None
-_shader: Any = None
-_batches: dict[int, tuple[ToolMesh, Any]] = {}
 
+class BrushOverlay:
+    """Draws a brush over every 3D view, from `show` to `hide`."""
 
-def show(brush: Brush) -> None:
-    """Draw a brush over every 3D view until `hide`; in the background nothing is drawn."""
-    global _brush, _handle
-    _brush = brush
-    if _handle is None and not bpy.app.background:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    def __init__(self) -> None:
+        self.brush: Brush | None = None
+        """What is drawn; None while nothing is."""
+        self._handle: Any = None
+        self._shader: Any = None
+        self._batches: dict[int, tuple[ToolMesh, Any]] = {}
 
+    def show(self, brush: Brush) -> None:
+        """Draw a brush from now on; in the background nothing is drawn."""
+        self.brush = brush
+        if self._handle is None and not bpy.app.background:
+            self._handle = bpy.types.SpaceView3D.draw_handler_add(
+                self._draw, (), "WINDOW", "POST_VIEW"
+            )
 
-def hide() -> None:
-    """Draw no more; a second call does nothing."""
-    global _brush, _handle
-    _brush = None
-    _batches.clear()
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-        _handle = None
+    def hide(self) -> None:
+        """Stop drawing; a second call does nothing."""
+        self.brush = None
+        self._batches.clear()
+        if self._handle is not None:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None
 
+    def forget_shader(self) -> None:
+        """Release the shader, which is made again when it is needed."""
+        self._shader = None
 
-def _draw() -> None:
-    scene, view = bpy.context.scene, bpy.context.region_data
-    if _brush is None or scene is None or view is None or not bpy.context.space_data.overlay:
-        return
-    draw_brush(
-        _brush, np.array(view.view_matrix, np.float64), scale=scene.unit_settings.scale_length
-    )
+    def _draw(self) -> None:
+        scene, view = bpy.context.scene, bpy.context.region_data
+        if self.brush is None or scene is None or view is None:
+            return
+        if bpy.context.space_data.overlay:
+            view_matrix = np.array(view.view_matrix, np.float64)
+            self.draw(self.brush, view_matrix, scale=meters_per_unit(scene))
 
+    def draw(self, brush: Brush, view_matrix: NDArray[np.float64], *, scale: float) -> None:
+        """Draw a brush with the current matrices of the GPU module.
 
-def draw_brush(brush: Brush, view_matrix: NDArray[np.float64], *, scale: float) -> None:
-    """Draw a brush with the matrices that the GPU module has at the moment.
-
-    Args:
-        brush: Its tool, copies and cursor.
-        view_matrix: Camera space from the world [Blender units], shape [4, 4].
-        scale: Metres in a Blender unit.
-    """
-    import gpu
-
-    try:
-        gpu.state.blend_set("ALPHA")
-        drawn = brush.drawn()
-        _forget_batches([mesh for mesh, _, _ in drawn])
-        for mesh, pose, felt in drawn:
-            _draw_mesh(mesh, pose, view_matrix, scale, _FELT if felt else _UNFELT)
-        if brush.cursor is not None:
-            _draw_ring(brush, scale)
-    finally:
-        gpu.state.depth_mask_set(False)
-        gpu.state.depth_test_set("NONE")
-        gpu.state.face_culling_set("NONE")
-        gpu.state.blend_set("NONE")
-
-
-def _draw_mesh(
-    mesh: ToolMesh,
-    pose: NDArray[np.float64],
-    view_matrix: NDArray[np.float64],
-    scale: float,
-    color: tuple[float, float, float, float],
-) -> None:
-    import gpu
-    from mathutils import Matrix
-
-    shader = _tool_shader()
-    model = pose.copy()
-    model[:3] /= scale
-    projection = gpu.matrix.get_projection_matrix() @ gpu.matrix.get_model_view_matrix()
-    back = np.linalg.inv(view_matrix[:3, :3] @ model[:3, :3])
-    shader.bind()
-    shader.uniform_float("clip_from_tool", projection @ Matrix(model.tolist()))
-    for name, way in (("light", (-0.35, 0.65, 0.7)), ("eye", (0.0, 0.0, 1.0))):
-        own = back @ np.array(way)
-        shader.uniform_float(name, (own / np.linalg.norm(own)).tolist())
-    shader.uniform_float("color", color)
-    gpu.state.depth_test_set("LESS_EQUAL")
-    gpu.state.depth_mask_set(True)
-    # A mirrored tool shows its triangles the other way round.
-    gpu.state.face_culling_set("FRONT" if np.linalg.det(model[:3, :3]) < 0.0 else "BACK")
-    _batch(mesh, shader).draw(shader)
-
-
-def _tool_shader() -> Any:
-    global _shader
-    if _shader is None:
+        Args:
+            brush: Its tool, copies and cursor.
+            view_matrix: Camera space from the world [Blender units], shape [4, 4].
+            scale: Metres in a Blender unit.
+        """
         import gpu
 
-        between = gpu.types.GPUStageInterfaceInfo("clay_tool_interface")
-        between.smooth("VEC3", "shown_normal")
-        info = gpu.types.GPUShaderCreateInfo()
-        info.push_constant("MAT4", "clip_from_tool")
-        info.push_constant("VEC4", "color")
-        info.push_constant("VEC3", "light")
-        info.push_constant("VEC3", "eye")
-        info.vertex_in(0, "VEC3", "pos")
-        info.vertex_in(1, "VEC3", "normal")
-        info.vertex_out(between)
-        info.fragment_out(0, "VEC4", "fragment")
-        info.vertex_source(_VERTEX)
-        info.fragment_source(_FRAGMENT)
-        _shader = gpu.shader.create_from_info(info)
-    return _shader
+        try:
+            gpu.state.blend_set("ALPHA")
+            drawn = brush.drawn()
+            self._forget_batches([mesh for mesh, _, _ in drawn])
+            for mesh, pose, felt in drawn:
+                self._draw_mesh(mesh, pose, view_matrix, scale, _FELT if felt else _UNFELT)
+            if brush.cursor is not None:
+                _draw_ring(brush, scale)
+        finally:
+            gpu.state.depth_mask_set(False)
+            gpu.state.depth_test_set("NONE")
+            gpu.state.face_culling_set("NONE")
+            gpu.state.blend_set("NONE")
+
+    def _draw_mesh(
+        self,
+        mesh: ToolMesh,
+        pose: NDArray[np.float64],
+        view_matrix: NDArray[np.float64],
+        scale: float,
+        color: tuple[float, float, float, float],
+    ) -> None:
+        import gpu
+        from mathutils import Matrix
+
+        shader = self._tool_shader()
+        model = pose.copy()
+        model[:3] /= scale
+        projection = gpu.matrix.get_projection_matrix() @ gpu.matrix.get_model_view_matrix()
+        back = np.linalg.inv(view_matrix[:3, :3] @ model[:3, :3])
+        shader.bind()
+        shader.uniform_float("clip_from_tool", projection @ Matrix(model.tolist()))
+        for name, way in (("light", (-0.35, 0.65, 0.7)), ("eye", (0.0, 0.0, 1.0))):
+            own = back @ np.array(way)
+            shader.uniform_float(name, (own / np.linalg.norm(own)).tolist())
+        shader.uniform_float("color", color)
+        gpu.state.depth_test_set("LESS_EQUAL")
+        gpu.state.depth_mask_set(True)
+        # Mirroring turns the triangles inside out.
+        gpu.state.face_culling_set("FRONT" if np.linalg.det(model[:3, :3]) < 0.0 else "BACK")
+        self._batch(mesh, shader).draw(shader)
+
+    def _tool_shader(self) -> Any:
+        if self._shader is None:
+            import gpu
+
+            between = gpu.types.GPUStageInterfaceInfo("clay_tool_interface")
+            between.smooth("VEC3", "shown_normal")
+            info = gpu.types.GPUShaderCreateInfo()
+            info.push_constant("MAT4", "clip_from_tool")
+            info.push_constant("VEC4", "color")
+            info.push_constant("VEC3", "light")
+            info.push_constant("VEC3", "eye")
+            info.vertex_in(0, "VEC3", "pos")
+            info.vertex_in(1, "VEC3", "normal")
+            info.vertex_out(between)
+            info.fragment_out(0, "VEC4", "fragment")
+            info.vertex_source(_VERTEX)
+            info.fragment_source(_FRAGMENT)
+            self._shader = gpu.shader.create_from_info(info)
+        return self._shader
+
+    def _batch(self, mesh: ToolMesh, shader: Any) -> Any:
+        from gpu_extras.batch import batch_for_shader
+
+        kept = self._batches.get(id(mesh))
+        if kept is None:
+            points, normals = shaded_corners(mesh)
+            batch = batch_for_shader(shader, "TRIS", {"pos": points, "normal": normals})
+            kept = self._batches[id(mesh)] = (mesh, batch)
+        return kept[1]
+
+    def _forget_batches(self, meshes: list[ToolMesh]) -> None:
+        used = {id(mesh) for mesh in meshes}
+        for key in [key for key in self._batches if key not in used]:
+            del self._batches[key]
 
 
-def _batch(mesh: ToolMesh, shader: Any) -> Any:
-    from gpu_extras.batch import batch_for_shader
-
-    kept = _batches.get(id(mesh))
-    if kept is None:
-        points, normals = shaded_corners(mesh)
-        batch = batch_for_shader(shader, "TRIS", {"pos": points, "normal": normals})
-        kept = _batches[id(mesh)] = (mesh, batch)
-    return kept[1]
-
-
-def _forget_batches(meshes: list[ToolMesh]) -> None:
-    used = {id(mesh) for mesh in meshes}
-    for key in [key for key in _batches if key not in used]:
-        del _batches[key]
+overlay = BrushOverlay()
 
 
 def shaded_corners(mesh: ToolMesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Corners of a mesh's triangles with their normals, round where it is round.
+    """Corners of a mesh's triangles with normals that are smooth except at sharp edges.
 
     Returns:
         Positions [m] and unit normals, shape [3 F, 3] each.
@@ -218,13 +224,13 @@ def _draw_ring(brush: Brush, scale: float) -> None:
 def ring_points(
     point: NDArray[np.float64], normal: NDArray[np.float64], radius: float, part: float = 1.0
 ) -> NDArray[np.float64]:
-    """A circle across a normal, or the first part of it.
+    """A circle around a normal, or the first part of one.
 
     Args:
-        point: Its middle [m], shape [3].
+        point: Center [m], shape [3].
         normal: Unit vector, shape [3].
         radius: Its radius [m].
-        part: How much of the circle, 0 to 1.
+        part: Fraction of the circle, 0 to 1.
 
     Returns:
         Points of a line [m], shape [S, 3].
@@ -232,16 +238,15 @@ def ring_points(
     up = tangent_of(np.array((0.0, 0.0, 1.0)), normal, np.array((0.0, 1.0, 0.0)))
     x, y, _ = frame_of(normal, up).T
     turn = np.linspace(0.0, 2.0 * np.pi * part, int(np.ceil(_SEGMENTS * part)) + 1)[:, None]
-    # Clockwise from the top, as a clock shows it.
+    # Clockwise from the top.
     return np.asarray(point + radius * (np.sin(turn) * x + np.cos(turn) * y))
 
 
-def unregister() -> None:
-    """Draw no more."""
-    global _shader
-    hide()
-    _shader = None
-
-
 def register() -> None:
-    """Nothing: drawing begins with a session."""
+    """Nothing to do: drawing begins with a session."""
+
+
+def unregister() -> None:
+    """Stop drawing."""
+    overlay.hide()
+    overlay.forget_shader()

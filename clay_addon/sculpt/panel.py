@@ -7,12 +7,14 @@ import bpy
 
 from ..base.preferences import draw_text
 from ..model.clay_scene import clay_objects
-from . import autosave, session
 from .header import draw_brush
+from .live.autosave import recovery
+from .live.current import current
+from .live.session import SculptSession
 
 
 class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
-    """Working clay live."""
+    """Sculpt, record takes, and set the brush."""
 
     bl_label = "Sculpt"
     bl_order = 1
@@ -23,17 +25,17 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        running = session.current
+        running = current.session
         properties = context.scene.tactile_clay
-        if autosave.message:
-            draw_text(layout.box(), autosave.message, icon="RECOVER_LAST")
+        if recovery.message:
+            draw_text(layout.box(), recovery.message, icon="RECOVER_LAST")
         if running is None:
             column = layout.column()
             clay = clay_objects(context.scene)
             column.enabled = bool(clay)
             column.scale_y = 1.3
             column.operator("clay.sculpt", icon="SCULPTMODE_HLT")
-            if session.first:
+            if current.clay_before:
                 layout.operator("clay.sculpt_revert", icon="LOOP_BACK")
             row = layout.row(align=True)
             row.prop(properties, "record_take", icon="REC")
@@ -50,8 +52,8 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
         draw_brush(layout.column(), context.scene.tactile_clay_sculpt, compact=False)
 
 
-def speed_text(running: session.SculptSession) -> str:
-    """How fast simulated time goes by, in words."""
+def speed_text(running: SculptSession) -> str:
+    """The speed of simulated time, in words."""
     if not running.pace.started:
         return "Getting ready …"
     if running.factor > 0.95:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps about its sculpting brush: ``Scene.tactile_clay_sculpt``."""
+"""The sculpting brush of a scene: ``Scene.tactile_clay_sculpt``."""
 
 from __future__ import annotations
 
@@ -11,21 +11,22 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.units import from_meters, meters_per_unit
 from ..core.brush.adjust import Adjusted
 from ..core.tools.presets import ToolPreset, ToolPresetError
 from ..core.tools.settings import BrushSettings
 from ..core.tools.tools import BY_IDENTIFIER, tool_items
 from ..model.clay_scene import clay_objects
-from . import session
+from .live.current import current
 from .tool_stamp import stamp_from_object
 
 _RADIUS = 0.012
-"""[m]"""
+"""Default radius [m]."""
 
 
 def _get_radius(properties: Any) -> float:
-    # A fingertip's size whatever the scene's unit scale, until a value is chosen.
-    return properties.radius_chosen or _RADIUS / properties.id_data.unit_settings.scale_length
+    # The size of a fingertip at any unit scale, until a value is chosen.
+    return properties.radius_chosen or from_meters(properties.id_data, _RADIUS)
 
 
 def _set_radius(properties: Any, value: float) -> None:
@@ -81,8 +82,8 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
         name="Z", description="Mirror strokes about the clay's XY plane"
     )
     color: bpy.props.FloatVectorProperty(
-        name="Colour",
-        description="Of paint, and of clay that is added",
+        name="Color",
+        description="Color of paint, and of clay that is added",
         subtype="COLOR",
         size=3,
         min=0.0,
@@ -101,7 +102,7 @@ class SceneSource:
     """Reads a brush's settings from a scene, and writes the radius and strength to it.
 
     Args:
-        scene: It is found again by its name, since Undo makes another object of it.
+        scene: It is found by name each time, since Undo replaces the object.
     """
 
     def __init__(self, scene: bpy.types.Scene) -> None:
@@ -115,7 +116,7 @@ class SceneSource:
         if scene is None:
             return self._last
         properties = scene.tactile_clay_sculpt
-        scale = scene.unit_settings.scale_length
+        scale = meters_per_unit(scene)
         clay = clay_objects(scene)
         key, stamp = self._read_stamp(properties.stamp if properties.tool == "STAMP" else None)
         self._last = BrushSettings(
@@ -138,7 +139,7 @@ class SceneSource:
         scene = bpy.data.scenes.get(self._name)
         if scene is not None:
             if name == "radius":
-                value /= scene.unit_settings.scale_length
+                value = from_meters(scene, value)
             setattr(scene.tactile_clay_sculpt, name, value)
 
     def _read_stamp(self, item: bpy.types.Object | None) -> tuple[str, ToolPreset | None]:
@@ -151,7 +152,7 @@ class SceneSource:
                 self._stamp = (key, preset)
                 _stamp_faults.pop(key, None)
             except ToolPresetError as error:
-                # The stamp that comes along serves meanwhile.
+                # The default stamp is used instead.
                 self._stamp = (key, None)
                 _stamp_faults[key] = str(error)
         return self._stamp if self._stamp[1] is not None else ("", None)
@@ -166,7 +167,7 @@ def _stamp_key(item: bpy.types.Object) -> str:
 
 
 def stamp_fault(item: bpy.types.Object | None) -> str:
-    """Why an object that was tried as a stamp cannot be one; empty if it can, or was not tried."""
+    """Why an object cannot be a stamp; empty if it can be, or was not tried yet."""
     if item is None or item.type != "MESH":
         return ""
     return _stamp_faults.get(_stamp_key(item), "")
@@ -186,7 +187,7 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     matrix = np.array(item.matrix_world, np.float64)
     axes, _ = np.linalg.qr(matrix[:3, :3])
     frame = np.eye(4)
-    # The sign of an axis is of no account to a mirror.
+    # The sign of an axis does not matter for a mirror.
     frame[:3, :3] = axes
     frame[:3, 3] = matrix[:3, 3] * scale
     return frame
@@ -197,9 +198,9 @@ _held: dict[str, dict[str, Any]] = {}
 
 @persistent
 def _before_undo(*_: object) -> None:
-    # The tool in one's hand is no part of what is undone, as with Blender's own brushes.
+    # Undo does not change the brush, as with Blender's own brushes.
     _held.clear()
-    if session.current is not None:
+    if current.session is not None:
         for scene in bpy.data.scenes:
             properties = scene.tactile_clay_sculpt
             _held[scene.name] = {name: _value(properties, name) for name in _KEPT}
@@ -232,14 +233,14 @@ _HANDLERS = (
 
 
 def register() -> None:
-    """Register the properties and hang them on scenes."""
+    """Register the properties and add them to scenes."""
     add_handlers(_HANDLERS)
     bpy.utils.register_class(ClaySculptProperties)
     bpy.types.Scene.tactile_clay_sculpt = bpy.props.PointerProperty(type=ClaySculptProperties)
 
 
 def unregister() -> None:
-    """Take the properties away; what a .blend keeps stays in it."""
+    """Remove the properties; the values in a .blend stay."""
     remove_handlers(_HANDLERS)
     del bpy.types.Scene.tactile_clay_sculpt
     bpy.utils.unregister_class(ClaySculptProperties)

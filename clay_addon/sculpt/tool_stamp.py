@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A stamp of one's own: any closed mesh object as a sculpting tool."""
+"""The user's own stamp: any closed mesh object as a sculpting tool."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
     0 amid its extent, and scaled so that it fits a circle of one brush radius seen along Z.
 
     Args:
-        item: A closed mesh object; it stays as it is.
+        item: A closed mesh object; it is not changed.
         depsgraph: The evaluated scene.
 
     Raises:
@@ -28,7 +28,7 @@ def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
     """
     if item.type != "MESH":
         raise ToolPresetError(
-            f"{item.name!r} is no mesh ({item.type.lower()}), so it cannot be a stamp. Choose a "
+            f"{item.name!r} is not a mesh ({item.type.lower()}), so it cannot be a stamp. Choose a "
             "closed mesh, or convert it to one (Object > Convert > Mesh)."
         )
     if is_switched_off(item, depsgraph):

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from ...solver import Hand, Scene
 
 TRACKED_FROM = 0.5
-"""A hand with less contact than this is not there for the clay. When it is there again, the solver
-lets it take hold by and by."""
+"""The clay does not feel a hand with less contact than this. When the contact rises above it again,
+the solver lets the hand take hold gradually."""
 
 
 class HandState(NamedTuple):
@@ -29,14 +29,14 @@ class HandState(NamedTuple):
     bones: NDArray[np.float64]
     """World from each bone's own coordinates [m], in the order of the rig, shape [B, 4, 4]."""
     tracked: bool
-    """Whether it is known where the hand is."""
+    """Whether the tracker knows where the hand is."""
 
 
 class MovingHand:
     """A clay hand of a scene that is simulated.
 
-    Reading it links a copy of it into the scene for a moment, so this is neither for a handler nor
-    for a panel.
+    Reading the hand links a copy of it into the scene for a moment, so neither a handler nor a
+    panel may do it.
 
     Args:
         context: Where the hand is.
@@ -105,8 +105,8 @@ class MovingHand:
     def feed(self, depsgraph: bpy.types.Depsgraph) -> HandState:
         """Tell the solver, if it runs, what the hand does at the current frame.
 
-        A pose that cannot be, as one with a mirrored bone, is dropped and the last good one held;
-        `warnings` tells of it.
+        An impossible pose, such as one with a mirrored bone, is dropped and the last good one held;
+        `warnings` reports it.
 
         Raises:
             HandError: The hand is switched off or gone.
@@ -128,12 +128,12 @@ class MovingHand:
         return HandState(bones, tracked)
 
     def held(self) -> NDArray[np.float64]:
-        """The last good pose that the solver was told [m], shape [B, 4, 4]."""
+        """The last good pose that was given to the solver [m], shape [B, 4, 4]."""
         assert self.handle is not None
         return self.handle.bones
 
     def hold(self, bones: NDArray[np.float64]) -> None:
-        """Take up a pose that `held` gave.
+        """Restore a pose that `held` gave.
 
         Raises:
             ValueError: It is not of this hand.
@@ -144,7 +144,7 @@ class MovingHand:
         self.handle.set_bones(bones)
 
     def warnings(self) -> list[str]:
-        """What the user should know of how the hand went."""
+        """What the user should know about the hand's motion."""
         found = [self._notice] if self._notice else []
         if self._dropped:
             first = min(self._dropped)

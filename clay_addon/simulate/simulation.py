@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a Blender scene to a solver: clay, colliders, hands, and what decides the result.
-
-Blender's units are turned into metres here, and back, and nowhere else.
-"""
+"""From a Blender scene to a solver: clay, colliders, hands, and what decides the result."""
 
 from __future__ import annotations
 
@@ -24,8 +21,8 @@ from ..base.mesh_geometry import (
     transform,
     turn_for,
 )
-from ..core.storage.cache import ClaySlice
-from ..hands.hand import hand_objects
+from ..base.units import meters_per_unit
+from ..core.storage.clay_layout import ClayLayout, ClaySlice
 from ..hands.reading import HandError
 from ..model.clay_scene import (
     SimulationError,
@@ -38,24 +35,19 @@ from ..model.clay_scene import (
     is_enabled,
     solver_settings,
 )
-from ..model.collider import TAKE_TOOL, ColliderError, resolve_kind
+from ..model.collider import ColliderError, resolve_kind
 from ..model.digest import digest_of, scene_digests
 from ..wheel.wheel import is_wheel
-from .hand_motion import HandState, MovingHand
+from .edited_clay import EditedClay
+from .hand_motion import HandState
+from .scene_parts import check_clay, common_spacing, read_hands, simulated
 
 if TYPE_CHECKING:
     from ...solver import MeshCollider, Scene, Solver
-    from ..take.film_edits import EditedClay
-
 
 _HELD = "scene_hand_{}_held"
 """Key of the pose that a hand holds, in a snapshot."""
 _REFUSED = "The solver cannot take this scene: {}"
-
-
-LIVE_HOLD_STIFFNESS = 600.0
-"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
-fingertip pressed with 6 N is a centimetre behind."""
 
 
 @dataclass
@@ -94,36 +86,39 @@ class Simulation:
             what to do.
     """
 
-    def __init__(self, context: bpy.types.Context, *, live: bool = False) -> None:
+    def __init__(
+        self,
+        context: bpy.types.Context,
+        *,
+        live: bool = False,
+    ) -> None:
         scene = context.scene
         self.scene = scene
-        self.scale = scene.unit_settings.scale_length
+        self.scale = meters_per_unit(scene)
         self.live = live
         if not clay_objects(scene):
             raise SimulationError(
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
-        # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
-        self.hands = _read_hands(context, live=live)
+        # Reading a hand changes the scene for a moment, so it comes before the evaluated scene.
+        self.hands = read_hands(context, live=live)
         depsgraph = context.evaluated_depsgraph_get()
-        clay = _simulated(clay_objects(scene), depsgraph, live=live)
+        clay = simulated(clay_objects(scene), depsgraph, live=live)
         if not clay:
             raise SimulationError(
                 "All clay of the scene is switched off in the viewport. Switch some of it on."
             )
-        _check_clay(clay, depsgraph)
-        self.parts = tuple(ClaySlice(item.name, len(item.data.points)) for item in clay)
+        check_clay(clay, depsgraph)
+        self.parts = ClayLayout(ClaySlice(item.name, len(item.data.points)) for item in clay)
         self.materials = tuple(checked_material(item) for item in clay)
         attribute = "position" if live else "rest_position"
         self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
         self.edited: EditedClay | None = None
-        """Edits that are carried out on the way; None where there are none."""
+        """Edits that are carried out between frames; None where there are none."""
         if not live and scene.tactile_clay.film_edits:
-            from ..take.film_edits import EditedClay
-
             self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
-        self.spacing = _common_spacing(clay, self.scale)
+        self.spacing = common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
         self.time_step = 1.0 / frames_per_second(scene)
         gravity = np.array(scene.gravity if scene.use_gravity else (0.0, 0.0, 0.0), np.float64)
@@ -132,7 +127,7 @@ class Simulation:
         self._meshes: list[_MovingCollider] = []
         self._surfaces: dict[str, dict[str, float]] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
-        for item in _simulated(collider_objects(scene), depsgraph, live=live):
+        for item in simulated(collider_objects(scene), depsgraph, live=live):
             self._add_collider(item, depsgraph, middle)
         self.solver: Solver | None = None
 
@@ -187,13 +182,13 @@ class Simulation:
         }
 
     def moving_parts(self) -> str:
-        """What can move in this scene besides the clay, in words and in the genitive."""
+        """What can move in this scene besides the clay, as a possessive."""
         if not self.hands:
             return "colliders'"
         return "colliders' or hands'" if self._meshes else "hands'"
 
     def warnings(self) -> list[str]:
-        """What the user should know of how the hands went."""
+        """What the user should know about hands and edits."""
         warnings = [text for hand in self.hands for text in hand.warnings()]
         if self.edited is not None and self.edited.lost:
             warnings.append(
@@ -247,11 +242,10 @@ class Simulation:
         return scene
 
     def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """World positions [Blender units] and colours of each clay object's particles."""
+        """World positions [Blender units] and colors of each clay object's particles."""
         if self.edited is not None:
             return self.edited.bodies()
-        ends = np.cumsum([len(points) for points in self.rest])[:-1]
-        return list(zip(self.rest, np.split(self.colors, ends), strict=True))
+        return list(zip(self.rest, self.parts.split(self.colors), strict=True))
 
     def build(self, scene: Scene, device: str) -> None:
         """Build the solver; this needs no Blender, so any thread may do it.
@@ -300,7 +294,7 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        lifted = [which for which, touches in enumerate(enabled) if not touches]
+        lifted = [index for index, touches in enumerate(enabled) if not touches]
         said = [("lifted", *lifted)] if lifted else []
         return [*states, *said, *self._feed_hands(depsgraph)]
 
@@ -316,7 +310,7 @@ class Simulation:
         self.solver.step(part * self.time_step)
 
     def reach(self, number: int, *, steps: bool) -> bytes:
-        """Bring the scene to a frame from the one before, by way of the moments between them.
+        """Bring the scene to a frame from the one before, through the moments between them.
 
         Args:
             number: The frame.
@@ -343,12 +337,11 @@ class Simulation:
 
     def _edit(self, after: float, until: float) -> None:
         """Carry out the edits between two moments [frames]."""
-        edits = self.edited.due(after, until) if self.edited is not None else ()
-        if not edits:
+        if self.edited is None or not self.edited.is_due(after, until):
             return
-        assert self.edited is not None and self.solver is not None
+        assert self.solver is not None
         positions = (self.solver.positions() / self.scale).astype(np.float32)
-        if self.edited.apply(edits, positions):
+        if self.edited.apply(after, until, positions):
             self._build_anew()
 
     def _build_anew(self) -> None:
@@ -362,7 +355,7 @@ class Simulation:
         return {**self.solver.snapshot(), **held, **edited}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
-        """Take up a state that `snapshot` gave, after `feed` at its frame.
+        """Restore a state that `snapshot` gave, after `feed` at its frame.
 
         Raises:
             KeyError: A hand is missing in it.
@@ -464,58 +457,3 @@ class Simulation:
                     "endless plane stands still. Give it thickness (Solidify modifier), so that "
                     "it is a closed mesh."
                 )
-
-
-def _read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
-    gives_way = live or context.scene.tactile_clay.hands_give_way
-    hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
-    hands = hand_objects(context.scene)
-    if hands and live:
-        hands = _simulated(hands, context.evaluated_depsgraph_get(), live=True)
-    try:
-        return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
-    except HandError as error:
-        raise SimulationError(str(error)) from error
-
-
-def _simulated(
-    objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
-) -> list[bpy.types.Object]:
-    """Those that take part: a bake refuses what is switched off, as it may be so by mistake.
-
-    Live, what a tool did in an earlier take is felt no more.
-    """
-    return [
-        item
-        for item in objects
-        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
-    ]
-
-
-def _check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
-    users: dict[bpy.types.ID, bpy.types.Object] = {}
-    for item in clay:
-        if is_switched_off(item, depsgraph):
-            raise SimulationError(f"{item.name!r} {SWITCHED_OFF}")
-        other = users.setdefault(item.data, item)
-        if other != item:
-            raise SimulationError(
-                f"{item.name!r} is a linked duplicate of {other.name!r}, so both would show the "
-                "same particles. Make it a copy of its own (Object > Relations > Make Single "
-                "User > Object & Data)."
-            )
-
-
-def _common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
-    spacings = {item.name: item.tactile_clay.spacing for item in clay}
-    first = next(iter(spacings.values()))
-    for name, spacing in spacings.items():
-        if not spacing > 0:
-            raise SimulationError(f"{name!r} has no spacing. Make the clay again.")
-        if abs(spacing - first) > 1e-6 * first:
-            sizes = ", ".join(f"{n!r} {s * scale * 1e3:.3g} mm" for n, s in spacings.items())
-            raise SimulationError(
-                f"All clay of a scene needs the same spacing, but there is {sizes}. Make the odd "
-                "ones again."
-            )
-    return first

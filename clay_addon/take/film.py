@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking a take again, more finely: a scene of its own, for the film.
+"""Baking a take again with finer clay, in a separate scene, the film.
 
-The scene is a copy of the one that was sculpted in, with the same cameras, lights and settings. In
-place of the clay that was worked live it has clay of a smaller spacing, filled into the surface of
-what the take began with, and copies of the hands and tools with the take's keyframes. So sculpting
-may go on in the first scene, and both play.
+The film is a copy of the scene in which the take was recorded, with the same cameras, lights and
+settings. In place of the live clay it has clay of a smaller spacing, filled into the surface of the
+clay at the take's start, and copies of the hands and tools with the take's keyframes. So sculpting
+can continue in the first scene, and both play.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import closed_mesh
 from ..base.preferences import missing_parts
+from ..base.units import to_meters
 from ..clay.look import MODIFIER_NAME, add_look, get_input, set_input
-from ..clay.make_clay import make_point_cloud
 from ..clay.meshes import ClayError, Piece, fill_pieces
 from ..core.surface.exact import SurfaceError, reconstruct
 from ..core.take.frames import nearest
@@ -31,34 +32,35 @@ from ..hands.store import load_hand, stored_spacing
 from ..model.clay_scene import clay_objects, collider_objects
 from ..model.collider import TAKE_TOOL
 from ..model.material_properties import copy_material
-from .film_edits import prepare_for_edits, room_for, unknown_edit
+from ..model.point_cloud import make_point_cloud
+from ..simulate.edited_clay import prepare_for_edits, room_for, unknown_edit
 from .film_scene import copy_scene, drop_objects, film_collection, twins
 from .pose import followed
 from .store import take_edits, take_start
 
 FINER = 0.5
-"""Spacing of the film's clay over that of the live one, where none is chosen."""
+"""Default spacing of the film's clay, over that of the live clay."""
 _SAME_SPACING = 0.01
 _TAKE = re.compile(r"_take_\d{3,}$")
 
 
-class FilmError(Exception):
+class FilmError(TactileClayError):
     """A take cannot be baked again; the message says why and what to do."""
 
 
 def make_film(
     context: bpy.types.Context, *, spacing: float = 0.0, substeps: int = 0
 ) -> bpy.types.Scene:
-    """Make the scene in which a scene's take is baked again, or bring it up to date.
+    """Make the film of a scene's take, or bring it up to date.
 
     Args:
-        context: Its scene holds the take, or is the film of one.
+        context: Its scene holds the take, or is the film.
         spacing: Distance between the film's particles [Blender units]; half of the live clay's
-            where 0. The live spacing itself takes the live particles as they were.
-        substeps: Solver steps in each sixtieth of a second; 0 takes the solver's own choice.
+            if 0. With the live spacing, the live particles are used as they were.
+        substeps: Solver steps in each sixtieth of a second; 0 for the solver's own choice.
 
     Returns:
-        The film's scene. It is not baked yet, and not the one that is shown.
+        The film's scene, not baked yet. The window still shows the other one.
 
     Raises:
         FilmError: There is no take, or it cannot be baked again; nothing has changed.
@@ -70,7 +72,7 @@ def make_film(
     if not live:
         raise FilmError(
             f"There is no take in the scene {source.name!r}. Switch Record Take on and sculpt, or "
-            "press Recover Take to take up one that was cut short."
+            "press Recover Take to recover one that was cut short."
         )
     edit = unknown_edit(take_edits(source))
     if edit is not None:
@@ -110,7 +112,7 @@ def make_film(
 def _filled(
     live: list[bpy.types.Object], spacing: float, scene: bpy.types.Scene
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """World positions and colours of the film's particles, for each clay object."""
+    """World positions and colors of the film's particles, for each clay object."""
     starts = [take_start(item) for item in live]
     known = [start for start in starts if start is not None]
     own = [item.tactile_clay.spacing for item in live]
@@ -121,12 +123,12 @@ def _filled(
         try:
             surface = reconstruct(positions, each)
         except (SurfaceError, ImportError) as error:
-            raise FilmError(f"{item.name!r} at the take's beginning: {error}") from error
+            raise FilmError(f"{item.name!r} at the start of the take: {error}") from error
         shapes.append(Piece(item.name, closed_mesh(surface.vertices, surface.faces)))
     try:
         points = fill_pieces(shapes, spacing, scene, follow_thin_walls=True).points
     except ClayError as error:
-        raise FilmError(f"At the take's beginning: {error}") from error
+        raise FilmError(f"At the start of the take: {error}") from error
     return [
         (filled, colors[nearest(positions, filled)])
         for filled, (positions, colors) in zip(points, known, strict=True)
@@ -141,7 +143,7 @@ def _furnish(
     pieces: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
     spacing: float,
 ) -> None:
-    """Put clay, hands and tools into the film's scene, in place of those it had."""
+    """Put clay, hands and tools into the film, in place of those it had."""
     drop_objects(film)
     hands = hand_objects(source)
     moving = [
@@ -152,26 +154,26 @@ def _furnish(
         and item.animation_data.action is not None
     ]
     moving += [item for item in collider_objects(source) if TAKE_TOOL in item]
-    # Their armatures, too, where no take moved them: tracking would do so some day.
+    # Armatures that no take moved, too: tracking may move them later.
     moving += [hand_armature(hand) for hand in hands]
     made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
     edits = take_edits(source)
-    room = room_for(edits, spacing * source.unit_settings.scale_length)
+    room = room_for(edits, to_meters(source, spacing))
     for item, (points, colors) in zip(live, pieces, strict=True):
-        # Shown at the place of the first until they are added.
+        # Shown at the place of the first point until they are added.
         points = np.concatenate([points, np.tile(points[:1], (room, 1))])
         colors = np.concatenate([colors, np.tile(colors[:1], (room, 1))])
         clay = _make_clay(context, film, item, points, colors, spacing)
         if edits:
             prepare_for_edits(clay, room)
     context.view_layer.update()
-    wanted = spacing * film.unit_settings.scale_length
+    wanted = to_meters(film, spacing)
     for hand in hands:
         copy = made[hand]
         bound_for = 2.0 * stored_spacing(hand.data)
         if abs(bound_for - wanted) <= _SAME_SPACING * bound_for:
             continue
-        # Its ghosts are as dense as the clay: of another spacing it needs others.
+        # Ghosts are as dense as the clay, so another spacing needs other ghosts.
         side = load_hand(hand.data).rig.side
         copy.data = copy.data.copy()
         make_hand(context, copy, side=side, clay_spacing=scene_spacing(film))
@@ -208,7 +210,7 @@ def _make_clay(
 
 @contextmanager
 def _shown(context: bpy.types.Context, scene: bpy.types.Scene) -> Iterator[None]:
-    """Work in a scene, and come back."""
+    """Work in a scene, then return to the one before."""
     if context.window is None:
         with context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
             yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Copies of scenes that share all but some objects with the first."""
+"""Copies of scenes that share all but some objects with the original."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import bpy
 
 COLLECTION = "Film"
 _MARK = "clay_film"
-"""Custom property of what was made for a film, so that it can be made anew."""
+"""Custom property of what was made for a film, so that it can be replaced."""
 
 
 def copy_scene(source: bpy.types.Scene, name: str) -> bpy.types.Scene:
     """Copy a scene's settings, and link its collections and objects into the copy."""
     scene = source.copy()
     scene.name = name
-    # Else a copy has no user, and is not saved.
+    # Otherwise the copy has no user and is not saved.
     scene.use_fake_user = True
     return scene
 
 
 def film_collection(film: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of what a film has for itself."""
+    """The collection of the film's own objects."""
     for collection in film.collection.children:
         if collection.get(_MARK) == COLLECTION:
             return collection
@@ -33,7 +33,7 @@ def film_collection(film: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def drop_objects(film: bpy.types.Scene) -> None:
-    """Delete what was made for a film; what others put there stays."""
+    """Delete what was made for a film; other objects stay."""
     for item in list(film_collection(film).objects):
         if item.get(_MARK) or item.tactile_clay.role == "CLAY":
             data = item.data
@@ -58,7 +58,7 @@ def twins(
         source: The film's scene is a copy of this one.
         film: Where the copies go.
         chosen: Objects of both.
-        left_out: Objects that the film goes without.
+        left_out: Objects that the film does not get.
     """
     wanted = dict.fromkeys(chosen)
     grown = True
@@ -91,7 +91,7 @@ def _deformer(item: bpy.types.Object) -> bpy.types.Object | None:
 
 
 def _refer(copy: bpy.types.Object, made: dict[bpy.types.Object, bpy.types.Object]) -> None:
-    """Let a copy refer to copies."""
+    """Make a copy refer to copies."""
     if copy.parent in made:
         inverse = copy.matrix_parent_inverse.copy()
         copy.parent = made[copy.parent]
@@ -109,7 +109,7 @@ def _refer(copy: bpy.types.Object, made: dict[bpy.types.Object, bpy.types.Object
 
 
 def _leave_out(film: bpy.types.Scene, source: bpy.types.Scene, gone: set[bpy.types.Object]) -> None:
-    """Take objects out of a film's collections, of which those shared give way to copies."""
+    """Take objects out of a film's collections, copying those that are shared."""
     replaced: dict[bpy.types.Collection, bpy.types.Collection] = {}
 
     def thin(collection: bpy.types.Collection) -> None:
@@ -127,7 +127,7 @@ def _leave_out(film: bpy.types.Scene, source: bpy.types.Scene, gone: set[bpy.typ
                 collection.children.link(own)
             thin(own)
             if own != child and not own.all_objects:
-                # It held nothing but what the film goes without.
+                # It held only objects that the film does not have.
                 bpy.data.collections.remove(replaced.pop(child))
 
     thin(film.collection)
@@ -143,7 +143,7 @@ def _copy_switches(
     after: bpy.types.LayerCollection,
     replaced: dict[bpy.types.Collection, bpy.types.Collection],
 ) -> None:
-    """Switch collections on and off in a view layer as they are in another."""
+    """Switch collections on and off in one view layer as in another."""
     own = {each.collection: each for each in after.children}
     for child in before.children:
         twin = own.get(replaced.get(child.collection, child.collection))

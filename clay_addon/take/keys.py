@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A take as keyframes: hands, colliders and tools do on the timeline what they did live.
 
-A key stands wherever the solver's steps ended, between whole frames, too: that is what the clay
+There is a key where each step of the solver ended, also between whole frames: that is what the clay
 felt. Only what moved gets keys, and what had an action before, which might move it now.
 """
 
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...solver.geometry.rotations import quaternions_from_matrices
 from ..base.keyed_channels import CONSTANT, Channel, needed, write_channels
+from ..base.units import from_meters
 from ..core.take.data import Layout, Steps, Take, ToolShape, frame_count
 from ..model.collider import TAKE_TOOL
 from ..tracking.armature import CONTACT_PROPERTY
@@ -39,7 +40,7 @@ class Keyed(NamedTuple):
 
 
 class _Track(NamedTuple):
-    """Values of one thing over a take."""
+    """Values of one quantity over a take."""
 
     times: NDArray[np.float64]
     values: NDArray[Any]
@@ -48,8 +49,8 @@ class _Track(NamedTuple):
 def key_take(scene: bpy.types.Scene, take: Take, *, name: str = "Take") -> Keyed:
     """Put a take on the timeline.
 
-    Each object that moved gets a new action; the one it had stays in the file. What was in the
-    mouse becomes colliders in a collection of their own, which those of an earlier take leave.
+    Each object that moved gets a new action; the one it had stays in the file. The tools
+    of the mouse become colliders in their own collection, in place of those of an earlier take.
 
     Args:
         scene: The take's.
@@ -96,7 +97,7 @@ class _Clock:
     Args:
         start: Frame at time 0.
         rate: Frames in a second [1/s].
-        always: Whether what stays as it is gets a key, too.
+        always: Whether a constant value gets a key, too.
     """
 
     def __init__(self, start: int, rate: float, *, always: bool) -> None:
@@ -113,7 +114,7 @@ class _Clock:
     def transform(
         self, track: _Track | None, owner: bpy.types.Object | bpy.types.PoseBone
     ) -> Iterator[Channel]:
-        """The channels of a transform that an object or a bone has of its own, shape [K, 4, 4]."""
+        """The channels of an object's or a bone's own transform, shape [K, 4, 4]."""
         if track is None:
             return
         matrices = np.asarray(track.values, np.float64)
@@ -129,7 +130,7 @@ class _Clock:
             ("rotation_quaternion", turns),
             ("scale", scales),
         ):
-            # Taking a matrix apart leaves a noise of single precision.
+            # Decomposing a matrix leaves noise of single precision.
             still = np.ptp(rows, axis=0).max() < _NUMERIC_NOISE
             if still and not self._always:
                 setattr(owner, path, rows[0].tolist())
@@ -149,7 +150,7 @@ class _Clock:
         interpolation: int | None = None,
     ) -> Channel:
         kept = needed(values)
-        # So that what falls on a frame, or on half of one, does so to the bit.
+        # So that a time on a frame, or on half of one, is exactly there.
         frames = np.round(self._start + times[kept] * self._rate, 4)
         channel = Channel(path, index, frames, values[kept], group=group)
         return channel if interpolation is None else replace(channel, interpolation=interpolation)
@@ -160,8 +161,8 @@ def decomposed(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Location [K, 3], quaternion (w, x, y, z) [K, 4] and scale [K, 3] of transforms [K, 4, 4].
 
-    As Blender takes matrices apart: without shear, mirroring in all three scales. Quaternions do
-    not jump in sign from one to the next.
+    Like Blender's own decomposition: without shear, mirroring in all three scales. Successive
+    quaternions do not jump in sign.
     """
     linear = matrices[:, :3, :3]
     scales = np.linalg.norm(linear, axis=1)
@@ -176,7 +177,7 @@ def decomposed(
 def _tracks(
     parts: Sequence[Steps], array: str, names_of: Callable[[Layout], Sequence[Any]]
 ) -> dict[Any, _Track]:
-    """What each thing did, by name, over all parts in which it was followed."""
+    """The track of each name, over all parts in which it was recorded."""
     times: dict[Any, list[NDArray[np.float64]]] = {}
     values: dict[Any, list[NDArray[Any]]] = {}
     for part in parts:
@@ -189,7 +190,7 @@ def _tracks(
 
 
 def _key_tools(scene: bpy.types.Scene, take: Take, clock: _Clock, name: str) -> list[str]:
-    """Make colliders of the tools that the clay felt."""
+    """Turn the tools that the clay felt into colliders."""
     _remove_tools(scene)
     poses = _tracks(take.steps, "tool_poses", lambda layout: layout.tools)
     made = []
@@ -223,8 +224,7 @@ def _felt(parts: Sequence[Steps], number: int) -> _Track:
 
 def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(name)
-    scale = scene.unit_settings.scale_length
-    mesh.from_pydata((tool.vertices / scale).tolist(), [], tool.faces.tolist())
+    mesh.from_pydata(from_meters(scene, tool.vertices).tolist(), [], tool.faces.tolist())
     item = bpy.data.objects.new(name, mesh)
     item[TAKE_TOOL] = True
     # The film shows what the tool does, as the session did.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from ..bake import operators as bake_operators
+from ..base.activity import BusyError, clay_activity
 from ..core.storage.cache import CacheError
 from ..core.take.files import is_take
 from .film import FilmError, make_film
@@ -15,17 +15,17 @@ from .store import store_take
 
 
 class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
-    """Bake the recorded take with finer clay, in a scene of its own for rendering"""
+    """Bake the recorded take with finer clay, in a separate scene for rendering"""
 
     bl_idname = "clay.bake_again"
     bl_label = "Bake Again"
-    # Not REGISTER: doing it over would delete what is being baked.
+    # Not REGISTER: repeating it would delete what is being baked.
     bl_options = {"UNDO"}
 
     spacing: bpy.props.FloatProperty(
         name="Spacing",
         description=(
-            "Distance between the film's particles; half of the live clay's where 0, which shows "
+            "Distance between the film's particles; 0 for half of the live clay's, which shows "
             "twice the detail and takes about ten times as long"
         ),
         subtype="DISTANCE",
@@ -36,29 +36,27 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
-        description="Solver steps in each sixtieth of a second; 0 takes the solver's own choice",
+        description="Solver steps in each sixtieth of a second; 0 for the solver's own choice",
         min=0,
         max=4096,
         options={"SKIP_SAVE"},
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask how finely."""
+        """Ask for the spacing."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make the film's scene, go there and bake it; in the interface a frame at a time."""
-        if bake_operators.running is not None:
-            self.report({"ERROR"}, "A bake is running already. Press Esc to stop it.")
-            return {"CANCELLED"}
+        """Make the film's scene, switch to it and bake; in the interface, one frame at a time."""
         window = context.window
         if window is not None and not bpy.app.background:
             window.cursor_modal_set("WAIT")
         try:
+            clay_activity.check_free()
             film = make_film(context, spacing=self.spacing, substeps=self.substeps)
-        except FilmError as error:
+        except (BusyError, FilmError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         finally:
@@ -72,7 +70,7 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
                 window.scene = film
                 bpy.ops.clay.bake("INVOKE_DEFAULT")
         except RuntimeError as error:
-            # The scene stays, for Bake to be pressed there when what is wrong has been put right.
+            # The scene stays, so that Bake can be pressed there once the problem is fixed.
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
         return {"FINISHED"}
 
@@ -86,7 +84,7 @@ class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801
 
     directory: bpy.props.StringProperty(
         name="Folder",
-        description="The take's folder, as clay_cache_take_001",
+        description="The folder of the take, such as clay_cache_take_001",
         subtype="DIR_PATH",
         options={"SKIP_SAVE"},
     )

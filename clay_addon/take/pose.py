@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a take follows of a scene: the hands' armatures, the colliders, and all that moves them."""
+"""What a take records of a scene: the hands' armatures, the colliders, and all that moves them."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ..model.collider import TAKE_TOOL
 from ..tracking.armature import CONTACT_PROPERTY
 
 
-class Moment(NamedTuple):
-    """What hands and tools do at a moment; the arrays of `Steps`, without their first axis."""
+class StepRow(NamedTuple):
+    """What hands and tools do in one step: one row of each array of `Steps`."""
 
     objects: NDArray[np.float32]
     bones: NDArray[np.float32]
@@ -29,7 +29,7 @@ class Moment(NamedTuple):
 
 
 def followed(scene: bpy.types.Scene, tools: tuple[int, ...] = ()) -> Layout:
-    """What is to be followed in a scene.
+    """What a take of a scene records.
 
     Args:
         scene: Its clay hands and colliders count, and what these depend on: parents, armatures,
@@ -58,7 +58,7 @@ def pose_now(
     layout: Layout,
     depsgraph: bpy.types.Depsgraph,
     tools: list[tuple[NDArray[np.floating], bool]] | None = None,
-) -> Moment:
+) -> StepRow:
     """What hands and tools do now.
 
     Args:
@@ -67,7 +67,7 @@ def pose_now(
         tools: World from own coordinates [m], 4×4, of each tool, and whether the clay feels it.
 
     Raises:
-        LookupError: Something is gone, or other than it was: see anew what to follow.
+        LookupError: Something is gone or has changed; call `followed` again.
     """
     evaluated = {
         name: bpy.data.objects[name].evaluated_get(depsgraph)
@@ -79,7 +79,7 @@ def pose_now(
     for name, bone_names in layout.armatures:
         armature = evaluated[name]
         if len(armature.pose.bones) != len(bone_names):
-            raise LookupError(f"{name!r} has other bones than it had.")
+            raise LookupError(f"{name!r} no longer has the same bones.")
         values = np.empty((len(bone_names), 4, 4), np.float32)
         armature.pose.bones.foreach_get("matrix_basis", values.ravel())
         # Blender stores matrices by columns.
@@ -89,8 +89,8 @@ def pose_now(
     enabled = [is_enabled(bpy.data.objects[name], depsgraph) for name in layout.colliders]
     given = tools or []
     if len(given) != len(layout.tools):
-        raise LookupError(f"{len(given)} tools were given, and {len(layout.tools)} are followed.")
-    return Moment(
+        raise LookupError(f"{len(given)} tools were given, but {len(layout.tools)} are recorded.")
+    return StepRow(
         objects.reshape(-1, 4, 4),
         np.concatenate(bones),
         np.array(contacts, np.float32),

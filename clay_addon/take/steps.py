@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The steps of a take while it is recorded: gathered for some seconds, then written."""
+"""The steps of a take while it is recorded: collected for two seconds, then written."""
 
 from __future__ import annotations
 
@@ -12,64 +12,64 @@ import numpy as np
 from ..core.take.data import Layout, Steps
 from ..core.take.files import write_steps
 from ..core.take.writer import TakeWriter
-from .pose import Moment
+from .pose import StepRow
 
 SECONDS_AT_RISK = 2.0
-"""So much simulated time goes into one file [s]."""
+"""Simulated time in one file [s]: a crash costs at most this much."""
 
 
 class TakeSteps:
-    """Gathers steps and events.
+    """Collects steps and events, and hands them to the writer.
 
     Args:
         directory: The take's folder.
         writer: Writes them.
-        layout: What is followed.
+        layout: What is recorded.
     """
 
     def __init__(self, directory: Path, writer: TakeWriter, layout: Layout) -> None:
         self.layout = layout
         self.unwritten: dict[int, Steps] = {}
-        """What is not on the disk yet, by the number of its file."""
+        """Steps that are not on the disk yet, by the number of their file."""
         self._directory = directory
         self._writer = writer
-        self._rows: list[Moment] = []
+        self._rows: list[StepRow] = []
         self._times: list[float] = []
         self._events: list[dict[str, Any]] = []
         self._count = 0
         self._files = 0
 
-    def add(self, moment: Moment, seconds: float) -> bool:
-        """Take up a step that ended at a time [s]; whether a file was handed over."""
-        self._rows.append(moment)
+    def add(self, row: StepRow, seconds: float) -> bool:
+        """Add a step that ended at a time [s]; whether a file was handed to the writer."""
+        self._rows.append(row)
         self._times.append(seconds)
         full = seconds - self._times[0] >= SECONDS_AT_RISK
         return full and self.flush()
 
     def event(self, event: dict[str, Any]) -> None:
-        """Take up an edit or a rewind, and let it be written at once."""
+        """Add an edit or a rewind, and have it written at once."""
         self._events.append({"after": self._count + len(self._rows), **event})
         self.flush()
 
     def follow(self, layout: Layout) -> None:
-        """Follow something else from now on."""
+        """Record something else from now on."""
         self.flush()
         self.layout = layout
 
     def flush(self) -> bool:
-        """Hand over what was gathered; whether there was anything."""
+        """Hand what was collected to the writer; whether there was anything."""
         if not self._rows and not self._events:
             return False
         rows = self._rows or [_nothing(self.layout)]
-        moment = Moment(
+        columns = StepRow(
             *(np.stack(column)[: len(self._rows)] for column in zip(*rows, strict=True))
         )
-        steps = Steps(self.layout, np.array(self._times), *moment, self._events)
+        steps = Steps(self.layout, np.array(self._times), *columns, self._events)
         number, self._files = self._files, self._files + 1
         self.unwritten[number] = steps
         self._count += len(self._rows)
         self._rows, self._times, self._events = [], [], []
-        # Before the frames that wait: those can be made anew.
+        # Before the frames that wait, which can be computed again.
         self._writer.do(partial(self._write, number, steps), first=True)
         return True
 
@@ -78,10 +78,10 @@ class TakeSteps:
         self.unwritten.pop(number, None)
 
 
-def _nothing(layout: Layout) -> Moment:
-    """A row of what a layout follows, for its shapes."""
+def _nothing(layout: Layout) -> StepRow:
+    """An empty row of a layout, for the shapes of its arrays."""
     bones = sum(len(names) for _, names in layout.armatures)
-    return Moment(
+    return StepRow(
         np.zeros((len(layout.objects), 4, 4), np.float32),
         np.zeros((bones, 4, 4), np.float32),
         np.zeros(len(layout.armatures), np.float32),

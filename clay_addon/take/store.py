@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A take in a .blend: keyframes, the clay it began with, its edits, and where its frames are."""
+"""A take in a .blend: keyframes, the clay at its start, its edits, and where its frames are."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.take.data import Edit, Steps
+from ..core.take.data import Steps, TakeEdit
 from ..core.take.files import read_take
 from ..model.clay_points import SCULPTED_MARK
 from ..model.clay_scene import clay_objects
 from ..playback.playback import refresh
-from .film_edits import edits_of_text, edits_text
+from ..simulate.edited_clay import edits_of_text, edits_text
 from .keys import key_take
 
-_COARSEST = 1 / 60
-"""Hands and tools of a take are followed at least this often when it is baked again [s]."""
+_MAX_SAMPLE_SECONDS = 1 / 60
+"""Longest time between samples of hands and tools when a take is baked again [s]."""
 
 
 class Stored(NamedTuple):
-    """What a take left in the .blend."""
+    """What was put into the .blend."""
 
     directory: Path
     """Where its files are."""
@@ -36,7 +36,7 @@ class Stored(NamedTuple):
     objects: tuple[str, ...]
     """Names of the objects that got keyframes."""
     warnings: tuple[str, ...] = ()
-    """What a person should know."""
+    """What the user should know."""
 
 
 def store_take(
@@ -47,7 +47,7 @@ def store_take(
     Args:
         scene: The take's.
         directory: Its folder; it may have been cut short.
-        unwritten: Steps that are not in the folder, by their number.
+        unwritten: Steps that are not in the folder, by the number of their file.
 
     Raises:
         CacheError: The folder holds no take, or it is damaged.
@@ -67,12 +67,12 @@ def store_take(
     properties = scene.tactile_clay
     rate = take.header.frames_per_second
     properties.take_edits = edits_text(take.edits, start=keyed.first, rate=rate)
-    properties.motion_samples = max(1, math.ceil(1.0 / (rate * _COARSEST) - 1e-6))
+    properties.motion_samples = max(1, math.ceil(1.0 / (rate * _MAX_SAMPLE_SECONDS) - 1e-6))
     properties.cache_directory = beside_blend(directory, properties.cache_directory)
     scene.frame_start, scene.frame_end = keyed.first, keyed.last
     properties.use_scene_range = True
     for item in clay.values():
-        # These frames are of what was sculpted.
+        # These frames show what was sculpted.
         item.data.pop(SCULPTED_MARK, None)
     scene.frame_set(keyed.last)
     refresh(scene)
@@ -82,7 +82,7 @@ def store_take(
 def take_start(
     item: bpy.types.Object,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """The clay that the last take of a clay object began with; None without one.
+    """The clay of an object at the start of its last take; None without a take.
 
     Returns:
         World positions [Blender units], shape [N, 3], and linear RGBA, shape [N, 4].
@@ -99,7 +99,7 @@ def take_start(
     return positions, colors
 
 
-def take_edits(scene: bpy.types.Scene) -> list[Edit]:
+def take_edits(scene: bpy.types.Scene) -> list[TakeEdit]:
     """The edits of a scene's take, in the order they were made."""
     return edits_of_text(scene.tactile_clay.take_edits)
 
@@ -107,9 +107,9 @@ def take_edits(scene: bpy.types.Scene) -> list[Edit]:
 def _keep_start(
     item: bpy.types.Object, positions: NDArray[np.float32], colors: NDArray[np.float32]
 ) -> None:
-    """Keep the clay of a take's beginning in the .blend.
+    """Keep the clay at the start of a take in the .blend.
 
-    A mesh of its own that shows nowhere: the points of the clay object may be other many by now.
+    It is in a hidden mesh, since the clay object may have a different number of points by now.
     """
     before = item.tactile_clay.take_start
     mesh = bpy.data.meshes.new(f"{item.name} take start")
@@ -123,7 +123,7 @@ def _keep_start(
 
 
 def beside_blend(directory: Path, like: str) -> str:
-    """A folder as a property keeps it: from the .blend on where that was so before."""
+    """A folder as a property stores it: relative to the .blend if it was so before."""
     if like.startswith("//") and bpy.data.filepath:
         try:
             return str(bpy.path.relpath(str(directory)))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
+from ...solver.core.errors import TactileClayError
+from ..base.units import from_meters, pose_to_meters
 from .properties import ARRAY_ITEMS
 
 if TYPE_CHECKING:
@@ -20,7 +22,7 @@ _ARROW = 0.06
 """Length of the arrow out of the plate [m]."""
 
 
-class TouchArrayError(Exception):
+class TouchArrayError(TactileClayError):
     """An array object cannot be used; the message says why and what to do."""
 
 
@@ -36,7 +38,7 @@ def add_array(context: bpy.types.Context, preset: str) -> bpy.types.Object:
     scene = context.scene
     array = TransducerArray.preset(preset)
     label = next(item[1] for item in ARRAY_ITEMS if item[0] == preset)
-    item = bpy.data.objects.new(label, _mesh(label, array, scene.unit_settings.scale_length))
+    item = bpy.data.objects.new(label, _mesh(label, array, scene))
     item.tactile_touch.is_array = True
     item.tactile_touch.preset = preset
     item.hide_render = True
@@ -47,7 +49,7 @@ def add_array(context: bpy.types.Context, preset: str) -> bpy.types.Object:
     return item
 
 
-def _mesh(name: str, array: TransducerArray, scale: float) -> bpy.types.Mesh:
+def _mesh(name: str, array: TransducerArray, scene: bpy.types.Scene) -> bpy.types.Mesh:
     """A plate's outline, a disc for each transducer, and an arrow where the sound goes."""
     turn = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
     disc = array.radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros(_CORNERS)))
@@ -58,7 +60,7 @@ def _mesh(name: str, array: TransducerArray, scale: float) -> bpy.types.Mesh:
     tip, side = _ARROW, 0.15 * _ARROW
     arrow = [(0, 0, 0), (0, 0, tip), (side, 0, tip - side), (-side, 0, tip - side)]
     first = len(places)
-    vertices = np.concatenate((places, plate, arrow)) / scale
+    vertices = from_meters(scene, np.concatenate((places, plate, arrow)))
     edges = [(first + i, first + (i + 1) % 4) for i in range(4)]
     edges += [(first + 4 + a, first + 4 + b) for a, b in ((0, 1), (1, 2), (1, 3))]
     faces = np.arange(first).reshape(-1, _CORNERS).tolist()
@@ -78,8 +80,7 @@ def placed_array(scene: bpy.types.Scene) -> TransducerArray | None:
         return None
     from ...haptics import TransducerArray
 
-    matrix = np.array(item.matrix_world, np.float64)
-    matrix[:3, 3] *= scene.unit_settings.scale_length
+    matrix = pose_to_meters(scene, item.matrix_world)
     try:
         return TransducerArray.preset(item.tactile_touch.preset).placed(matrix)
     except ValueError as error:

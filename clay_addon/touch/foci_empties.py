@@ -14,7 +14,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..base.keyed_channels import CONSTANT, LINEAR, Channel, write_channels
+from ..base.units import from_meters
 from ..core.storage.cache import Cache, CacheError
 from ..core.storage.foci import FociFrame, read_foci
 from ..playback.playback import cache_of
@@ -25,7 +27,7 @@ PRESSURE_PROPERTY = "pressure"
 _MARK = "tactile_clay_foci"
 
 
-class FociError(ValueError):
+class FociError(TactileClayError, ValueError):
     """Focal points cannot be made into empties; the message says why and what to do."""
 
 
@@ -118,7 +120,7 @@ def make_empties(scene: bpy.types.Scene, cache: Cache | None = None) -> list[bpy
     # Nothing is felt where nothing was recorded, nor before and after.
     for number in range(recorded[0] - 1, recorded[-1] + 2):
         frames.setdefault(number, _nothing(number))
-    sigma = max(frame.sigma for frame in frames.values()) / scene.unit_settings.scale_length
+    sigma = from_meters(scene, max(frame.sigma for frame in frames.values()))
     # A sigma is a wavelength, 8.6 mm at 40 kHz: ten of them a frame are a hand at 2 m/s.
     tracks = follow_foci(frames, reach=10 * sigma)
     collection = _emptied_collection(scene)

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..base.units import from_meters
 from . import touch
 from .array import TouchArrayError, placed_array
 
@@ -80,12 +81,11 @@ def field_picture(scene: bpy.types.Scene) -> bpy.types.Object:
     item = bpy.data.objects.get(_PICTURE) or bpy.data.objects.new(_PICTURE, None)
     item.empty_display_type = "IMAGE"
     item.data = image
-    scale = scene.unit_settings.scale_length
-    item.empty_display_size = _EDGE / scale
+    item.empty_display_size = from_meters(scene, _EDGE)
     item.hide_render = True
     matrix = np.eye(4)
     matrix[:3, :3] = axes
-    matrix[:3, 3] = middle / scale
+    matrix[:3, 3] = from_meters(scene, middle)
     item.matrix_world = Matrix(matrix.tolist())
     if item.name not in scene.objects:
         scene.collection.objects.link(item)

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.units import meters_per_unit
 from . import touch
 
 if TYPE_CHECKING:
@@ -119,7 +120,7 @@ def _draw() -> None:
     draw_frame(
         frame,
         normal,
-        scale=scene.unit_settings.scale_length,
+        scale=meters_per_unit(scene),
         ceiling=scene.tactile_touch.ceiling,
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.units import meters_per_unit
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.storage.foci import FociFrame, read_foci, write_foci
 from ..playback.playback import cache_of
@@ -85,7 +86,7 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
     if cache is None:
         return
     try:
-        frame = recorded_touch(cache, scene.frame_current, scale=scene.unit_settings.scale_length)
+        frame = recorded_touch(cache, scene.frame_current, scale=meters_per_unit(scene))
     except CacheError:
         touch.show(None)
         return

@@ -9,6 +9,7 @@ from mathutils.kdtree import KDTree
 from numpy.typing import NDArray
 
 from ..base.mesh_geometry import transform
+from ..base.units import to_meters
 from ..hands.hand import hand_objects, read_hand_rig
 from ..hands.reading import HandError, skinned_hand
 
@@ -50,8 +51,8 @@ def paint_sensitivity(context: bpy.types.Context, item: bpy.types.Object) -> Non
     mesh = item.data
     places = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.attributes["position"].data.foreach_get("vector", places)
-    scale = context.scene.unit_settings.scale_length
-    world = transform(np.array(item.matrix_world), places.reshape(-1, 3).astype(float)) * scale
+    local = places.reshape(-1, 3).astype(float)
+    world = to_meters(context.scene, transform(np.array(item.matrix_world), local))
     nearest = np.array([tree.find(place)[1] for place in world])
     layer = mesh.color_attributes.get(LAYER)
     if layer is not None and (layer.domain, layer.data_type) != ("POINT", "FLOAT_COLOR"):

@@ -17,8 +17,8 @@ import bpy
 from bpy.app.handlers import persistent
 from numpy.typing import ArrayLike
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.redraw import redraw_views
+from ...solver.core.errors import TactileClayError
+from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
 from .array import placed_array
 from .properties import device_name
 
@@ -42,7 +42,7 @@ status: ArrayStatus | None = None
 _pipeline: TouchPipeline | None = None
 
 
-class TouchError(Exception):
+class TouchError(TactileClayError):
     """Touch cannot be had; the message says why and what to do."""
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ..base.units import pose_from_meters, pose_to_meters
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.bone_names import joints_of_bones, side_of_bones
 from ..core.tracking.hand.presence import Hand
@@ -41,12 +42,10 @@ def read_target(armature: bpy.types.Object, side: str, scene: bpy.types.Scene) -
         raise TrackingError(
             f"{armature.name!r} is scaled unevenly or to nothing: apply its scale (Ctrl-A)."
         )
-    unit = scene.unit_settings.scale_length
     bones = {}
     for bone in armature.data.bones:
         matrix = world @ np.array(bone.matrix_local, np.float64)
-        matrix[:3, 3] *= unit
-        bones[bone.name] = matrix
+        bones[bone.name] = pose_to_meters(scene, matrix)
     try:
         return HandTarget(bones, side)
     except RetargetError as error:
@@ -65,14 +64,11 @@ def placed(
             scale says nothing.
         scene: Its unit scale tells how long a Blender unit is.
     """
-    unit = scene.unit_settings.scale_length
     space = np.eye(4)
     if origin is not None:
         space = np.array(Matrix.LocRotScale(*origin.matrix_world.decompose()[:2], None), np.float64)
     matrices = target.posed(hand.positions, hand.quaternions, hand.valid)
-    for matrix in matrices.values():
-        matrix[:3, 3] /= unit
-    return {name: space @ matrix for name, matrix in matrices.items()}
+    return {name: space @ pose_from_meters(scene, matrix) for name, matrix in matrices.items()}
 
 
 def local_poses(armature: bpy.types.Object, matrices: dict[str, Array]) -> dict[str, Matrix]:

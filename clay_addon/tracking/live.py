@@ -14,9 +14,8 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ..bake import operators as bake_operators
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.redraw import redraw_views
+from ..base.activity import ActivityKind, clay_activity
+from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.hand_tracker import HandTracker
 from ..core.tracking.hand.measured_hand import measured_hand
@@ -124,7 +123,7 @@ class LiveTracking:
         hands = {side: self._tracker.hand(side, now) for side in SIDES}
         self._hands = {side: hand for side, hand in hands.items() if hand is not None}
         # A bake and a render read the pose of their own frame.
-        if bake_operators.running is not None or bpy.app.is_job_running("RENDER"):
+        if clay_activity.kind is ActivityKind.BAKE or bpy.app.is_job_running("RENDER"):
             return True
         for side, armature in hand_armatures(scene).items():
             hand = self._hands.get(side)

@@ -19,6 +19,9 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
+from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.signals import wheels_changed
 from ..model.properties import frame_range
 from .speed import is_driven, speed_curve, turns, turns_between
 
@@ -33,7 +36,7 @@ live_scenes: set[int] = set()
 """Scenes whose wheels `wheel_live.LiveWheels` turns, by ``session_uid``."""
 
 
-class WheelError(Exception):
+class WheelError(TactileClayError):
     """A wheel cannot turn as it should; the message says why and what to do."""
 
 
@@ -281,16 +284,12 @@ _HANDLERS = (("frame_change_pre", _on_change), ("save_pre", _on_save), ("load_pr
 
 def register() -> None:
     """Add the handlers, each once."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler not in handlers:
-            handlers.append(handler)
+    add_handlers(_HANDLERS)
+    wheels_changed.connect(refresh)
 
 
 def unregister() -> None:
     """Remove the handlers."""
-    for name, handler in _HANDLERS:
-        handlers = getattr(bpy.app.handlers, name)
-        if handler in handlers:
-            handlers.remove(handler)
+    wheels_changed.disconnect(refresh)
+    remove_handlers(_HANDLERS)
     live_scenes.clear()

@@ -18,6 +18,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..protocol.datagram import (
     MAXIMUM_FOCI,
     MAXIMUM_SIZE,
@@ -40,7 +41,7 @@ _HEARD_WITHIN = 0.5
 """A server that has sent no status for this long is taken for lost [s]; it sends ten a second."""
 
 
-class ArrayServerError(Exception):
+class ArrayServerError(TactileClayError):
     """The array server cannot be started or does not answer; the message says what to do."""
 
 

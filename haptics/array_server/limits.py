@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..acoustics.transducer_array import TransducerArray
 from ..protocol.datagram import Datagram, DatagramError, Kind, decode
 
@@ -49,7 +50,7 @@ class Limits:
                 raise ValueError(f"the {name} must be above 0 and at most {highest:g}, not {value}")
 
 
-class RefusedError(Exception):
+class RefusedError(TactileClayError):
     """A datagram is not let through; the message says why."""
 
 

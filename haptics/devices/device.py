@@ -11,13 +11,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
 from ..acoustics.transducer_array import TransducerArray
 
 MODULATION_FREQUENCY = 200.0
 """Frequency at which sound goes on and off so that it is felt [Hz]."""
 
 
-class DeviceError(Exception):
+class DeviceError(TactileClayError):
     """A device is not there, does not answer or cannot be used so; the message says what to do."""
 
 

@@ -31,6 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.core.errors import TactileClayError
+
 MAGIC = b"TCFP"
 VERSION = 1
 MAXIMUM_FOCI = 64
@@ -70,7 +72,7 @@ class Modulation(enum.IntEnum):
     """A steady pressure, for measuring; hardly felt."""
 
 
-class DatagramError(ValueError):
+class DatagramError(TactileClayError, ValueError):
     """A datagram is not one of ours; the message says what is wrong with it."""
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..core.errors import TactileClayError
 from .shells import (
     connected_labels,
     edge_pairs,
@@ -26,7 +27,7 @@ _FLAT = 1e-9
 """A shell of less volume than this is flat, over the cube of its size."""
 
 
-class MeshError(ValueError):
+class MeshError(TactileClayError, ValueError):
     """A mesh cannot be used; the message says why and what to do."""
 
 

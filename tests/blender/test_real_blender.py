@@ -49,7 +49,7 @@ PANEL = """
 import bpy
 
 from bl_ext.user_default.tactile_clay.clay_addon import panel
-from bl_ext.user_default.tactile_clay.clay_addon.bake import operators as bake_operators
+from bl_ext.user_default.tactile_clay.clay_addon.base.activity import clay_activity
 from bl_ext.user_default.tactile_clay.clay_addon.playback.playback import cache_of
 
 drawn = []
@@ -80,7 +80,7 @@ def draw_panels():
     bpy.app.timers.register(wait, first_interval=0.2)
 
 def wait():
-    if bake_operators.running is not None:
+    if clay_activity.kind is not None:
         return 0.2
     print("FRAMES", cache_of(bpy.context.scene).frames(), flush=True)
     bpy.ops.wm.quit_blender()

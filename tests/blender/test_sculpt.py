@@ -19,7 +19,7 @@ import numpy as np
 MODULE = "bl_ext.user_default.tactile_clay"
 ARGUMENTS = sys.argv[sys.argv.index("--") + 1:]
 bpy.ops.preferences.addon_enable(module=MODULE)
-sessions = importlib.import_module(MODULE + ".clay_addon.sculpt.session")
+sculpting = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current").current
 
 def clay():
     return bpy.data.objects["Clay"]
@@ -53,12 +53,12 @@ def start():
         assert bpy.ops.clay.sculpt("INVOKE_DEFAULT") == {"RUNNING_MODAL"}
 
 def moves():
-    running = sessions.current
+    running = sculpting.session
     return running is not None and running.pace.started
 
 def after(seconds):
     # Simulated time, which is what tools and clay go by.
-    running = sessions.current
+    running = sculpting.session
     until = running.pace.simulated + seconds
     return lambda: running.pace.simulated >= until
 
@@ -97,14 +97,14 @@ def steps():
     key("Z", ctrl=True)
     yield lambda: clay().data.get("clay_state") == 1
     yield after(0.2)
-    print("UNDONE", abs(top() - first) < 0.001, sessions.current is not None, flush=True)
+    print("UNDONE", abs(top() - first) < 0.001, sculpting.session is not None, flush=True)
     key("Z", ctrl=True, shift=True)
     yield lambda: clay().data.get("clay_state") == 2
     yield after(0.2)
     print("REDONE", abs(top() - second) < 0.001, flush=True)
     bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[1])
     key("ESC")
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     # Back to before the session, a step at a time.
     for _ in range(2):
         state = clay().data["clay_state"]
@@ -121,7 +121,9 @@ import numpy as np
 
 bpy.ops.preferences.addon_enable(module="bl_ext.user_default.tactile_clay")
 import importlib
-autosave = importlib.import_module("bl_ext.user_default.tactile_clay.clay_addon.sculpt.autosave")
+autosave = importlib.import_module(
+    "bl_ext.user_default.tactile_clay.clay_addon.sculpt.live.autosave"
+)
 import sys
 path = sys.argv[sys.argv.index("--") + 1]
 bpy.ops.wm.open_mainfile(filepath=path)
@@ -132,7 +134,7 @@ for name in ("position", "rest_position"):
     found = values + np.array(item.matrix_world.translation)
     near = np.hypot(found[:, 0], found[:, 1]) < 0.012
     print("TOP", name, round(float(found[near, 2].max()), 4))
-print("MESSAGE", autosave.message)
+print("MESSAGE", autosave.recovery.message)
 """
 KILLED = """
 import signal
@@ -173,7 +175,7 @@ def steps():
     bpy.ops.wm.open_mainfile(filepath=ARGUMENTS[0])
     yield 0.5
     yield lambda: not threads()
-    print("FILE", sessions.current, threads(), handlers() == handlers_before, flush=True)
+    print("FILE", sculpting.session, threads(), handlers() == handlers_before, flush=True)
     start()
     yield moves
     # What a person may do in the outliner meanwhile; in the view a surface stands for the clay.
@@ -181,33 +183,34 @@ def steps():
     other.data = clay().data.copy()
     other.location.x += 0.1
     bpy.context.scene.collection.objects.link(other)
-    yield lambda: [part.count for part in sessions.current.simulation.parts] == [1000, 1000]
+    yield lambda: [part.count for part in sculpting.session.simulation.parts] == [1000, 1000]
     yield after(0.1)
     other.name = "Other"
-    yield lambda: sessions.current.simulation.parts[1].name == "Other"
+    yield lambda: sculpting.session.simulation.parts[1].name == "Other"
     other.hide_viewport = True
-    yield lambda: len(sessions.current.simulation.parts) == 1
+    yield lambda: len(sculpting.session.simulation.parts) == 1
     yield after(0.1)
     other.hide_viewport = False
-    yield lambda: len(sessions.current.simulation.parts) == 2
+    yield lambda: len(sculpting.session.simulation.parts) == 2
     other.hide_set(True)
     yield after(0.1)
     bpy.data.objects.remove(other)
-    yield lambda: len(sessions.current.simulation.parts) == 1
+    yield lambda: len(sculpting.session.simulation.parts) == 1
     yield after(0.1)
     print("CLAY CAME AND WENT", flush=True)
     # The extension switched off in the middle of it.
     bpy.ops.preferences.addon_disable(module=MODULE)
     yield 0.5
     yield lambda: not threads()
-    print("OFF", sessions.current, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
+    print("OFF", sculpting.session, threads(), hasattr(bpy.types.Scene, "tactile_clay"), flush=True)
     bpy.ops.preferences.addon_enable(module=MODULE)
-    globals()["sessions"] = importlib.import_module(MODULE + ".clay_addon.sculpt.session")
+    current = importlib.import_module(MODULE + ".clay_addon.sculpt.live.current")
+    globals()["sculpting"] = current.current
     yield 0.5
     start()
     yield moves
     bpy.data.objects.remove(clay())
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     yield lambda: not threads()
     print("NO CLAY LEFT", threads(), flush=True)
 
@@ -235,13 +238,13 @@ def steps():
     yield seen
     start()
     yield moves
-    yield lambda: sessions.current.felt > 1.0
+    yield lambda: sculpting.session.felt > 1.0
     print("FELT", flush=True)
     yield lambda: before - float(points()[:, 2].max()) > 0.006
     screenshot(ARGUMENTS[1])
-    print("PRESSED", len(sessions.current.simulation.hands), flush=True)
+    print("PRESSED", len(sculpting.session.simulation.hands), flush=True)
     key("ESC")
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     with in_view():
         bpy.ops.clay.tracking_stop()
     print("KEPT", before - float(points()[:, 2].max()) > 0.005, "clay_sculpted" in clay().data)
@@ -292,7 +295,7 @@ def steps():
     event("MIDDLEMOUSE", "RELEASE")
     region_3d = area.spaces.active.region_3d
     yield lambda: region_3d.view_rotation.rotation_difference(rotation).angle > 0.05
-    print("TURNED", sessions.current is not None, flush=True)
+    print("TURNED", sculpting.session is not None, flush=True)
     key("Z", ctrl=True)
     yield lambda: clay().data.get("clay_state") is None
     yield after(0.1)
@@ -303,7 +306,7 @@ def steps():
     print("REDONE", float(np.abs(points() - pressed).max()) < 0.003, flush=True)
     bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[1])
     key("ESC")
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     screenshot(ARGUMENTS[2])
     print("STANDS FOR IT", [i.name for i in bpy.data.objects if "Live" in i.name], flush=True)
 
@@ -352,7 +355,7 @@ def test_clay_of_a_session_that_was_killed_is_there_again(
         assert float(found.output.split(f"TOP {name}")[1].split()[0]) == pytest.approx(
             dented, abs=0.001
         )
-    assert "The last session was cut short. Clay is as it was" in found.output
+    assert "The last session was cut short. Clay was recovered" in found.output
 
 
 def test_a_session_ends_cleanly_whatever_happens_to_it(

@@ -7,7 +7,7 @@ from typing import Any
 from .test_sculpt import COMMON, STEPS
 
 RECORDED = """
-bake_operators = importlib.import_module(MODULE + ".clay_addon.bake.operators")
+clay_activity = importlib.import_module(MODULE + ".clay_addon.base.activity").clay_activity
 
 def top_of(item):
     values = np.empty((len(item.data.points), 3), np.float32)
@@ -27,7 +27,7 @@ def steps():
     yield from press((0.0, 0.0, 0.06))
     yield after(0.1)
     key("ESC")
-    yield lambda: sessions.current is None
+    yield lambda: sculpting.session is None
     scene = window.scene
     last = scene.frame_end
     pressed = top_of(clay())
@@ -40,8 +40,8 @@ def steps():
     with in_view():
         assert bpy.ops.clay.bake_again("EXEC_DEFAULT", spacing=0.006) == {"FINISHED"}
     film = window.scene
-    print("FILM", film.name, bake_operators.running is not None, flush=True)
-    yield lambda: bake_operators.running is None
+    print("FILM", film.name, clay_activity.kind is not None, flush=True)
+    yield lambda: clay_activity.kind is None
     film.frame_set(film.frame_end)
     fine = film.objects["Clay (film)"]
     print("BAKED", abs(top_of(fine) - pressed) < 0.001, top_of(fine), pressed, flush=True)

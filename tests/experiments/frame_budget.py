@@ -66,7 +66,9 @@ class Ball:
         ball = trimesh.creation.icosphere(3, 0.012)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
-    def poses(self, duration: float) -> list[tuple[NDArray[np.float64], bool]]:
+    def poses(
+        self, duration: float, positions: NDArray[np.float32]
+    ) -> list[tuple[NDArray[np.float64], bool]]:
         """Down by a centimetre and up again, each second."""
         self._time += duration
         pose = np.eye(4)
@@ -85,7 +87,7 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
     from tactile_clay.clay_addon.clay.make_clay import make_clay
     from tactile_clay.clay_addon.hands.add_hand import add_hand
     from tactile_clay.clay_addon.model.collider import make_collider
-    from tactile_clay.clay_addon.sculpt import session as sessions
+    from tactile_clay.clay_addon.sculpt.live.current import current
     from tactile_clay.clay_addon.touch.array import add_array
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -101,7 +103,7 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
         add_array(context, "sonicsurface")
         context.view_layer.update()
         item.location.z += BLOCK + 0.02 - _lowest(context, item)
-    running = sessions.start(context, None if hand else Ball(BLOCK))
+    running = current.start(context, None if hand else Ball(BLOCK))
     if item is not None:
         top = item.location.z
     while running.pace.simulated < seconds:
@@ -113,10 +115,10 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
             context.view_layer.update()
             running.budget.took("evaluate", time.perf_counter() - began)
     found = running.budget.milliseconds()
-    surface = running._surface
+    surface = running.clay.surface
     making = 1e3 * surface.seconds if surface else 0.0
     count = len(clay.data.points)
-    sessions.stop(context)
+    current.stop(context)
     times = {part: found.get(part, 0.0) for part in _PARTS}
     return FrameCost(count, "hand" if hand else "ball", making=making, **times)
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.base.mesh_geometry import evaluated_mesh
 from tactile_clay.clay_addon.clay.look import add_look, set_input
-from tactile_clay.clay_addon.clay.make_clay import make_point_cloud
 from tactile_clay.clay_addon.core.surface.exact import Surface, reconstruct
+from tactile_clay.clay_addon.model.point_cloud import make_point_cloud
 from tactile_clay.solver import fill_mesh
 
 SPACINGS = (0.002, 0.0035, 0.005, 0.007)

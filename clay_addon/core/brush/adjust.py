@@ -9,10 +9,11 @@ from typing import Literal
 Adjusted = Literal["radius", "strength"]
 
 _STRENGTH_PIXELS = 200.0
-"""So far the mouse goes from no strength to full strength [pixels]."""
+"""Mouse travel from no strength to full strength [pixels]."""
 _PRECISE = 0.1
-LEAST_RADIUS = 1e-4
-"""[m]"""
+"""Share of the travel that counts while Shift is held."""
+MIN_RADIUS = 1e-4
+"""Smallest radius that can be chosen [m]."""
 
 
 @dataclass
@@ -20,25 +21,25 @@ class Adjustment:
     """A radius or a strength while it is being chosen."""
 
     name: Adjusted
-    """What is being chosen."""
+    """Whether the radius or the strength is being chosen."""
     start: float
-    """What it was: the radius in metres, the strength 0 to 1."""
+    """Value at the start: the radius [m], or the strength, 0 to 1."""
     pixel: float
     """Size of a pixel where the brush is [m]."""
     x: float
     """Where the mouse was last [pixels]."""
     value: float = field(init=False)
-    """What it is by now."""
+    """Value now."""
 
     def __post_init__(self) -> None:
         self.value = self.start
 
     def move(self, x: float, *, precise: bool) -> float:
-        """The mouse has moved sideways.
+        """Change the value after the mouse has moved sideways.
 
         Args:
-            x: Where it is [pixels].
-            precise: Whether it counts for a tenth.
+            x: Where the mouse is [pixels].
+            precise: Whether its travel counts for a tenth.
 
         Returns:
             The new value.
@@ -46,14 +47,14 @@ class Adjustment:
         moved = (x - self.x) * (_PRECISE if precise else 1.0)
         self.x = x
         if self.name == "radius":
-            self.value = max(self.value + moved * self.pixel, LEAST_RADIUS)
+            self.value = max(self.value + moved * self.pixel, MIN_RADIUS)
         else:
             self.value = min(max(self.value + moved / _STRENGTH_PIXELS, 0.0), 1.0)
         return self.value
 
     @property
     def text(self) -> str:
-        """The value for people."""
+        """The value as shown to the user."""
         if self.name == "radius":
             return f"Radius: {self.value * 1e3:.3g} mm"
         return f"Strength: {self.value:.3f}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse: what it does with the cursor, the pen and the wheel."""
+"""The tool in the mouse: it turns queued input into poses of its meshes and into edits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..tools.meshes import is_thin, sole_radius, tool_parts
 from ..tools.settings import BrushSettings, ToolMesh
 from .adjust import Adjustment
 from .edit_stroke import EditStroke
-from .input import BrushInput, Source
+from .input import BrushInput, Sample, Source
 from .mirror import mirror_matrices
 from .raycast import ParticleSurface
 from .stroke import HOVER, Stroke
@@ -26,7 +26,7 @@ from .view_region import Pointer
 
 @dataclass(frozen=True)
 class Cursor:
-    """What is drawn of a brush on the clay."""
+    """The place of a brush on the clay, to be drawn."""
 
     point: NDArray[np.float64]
     """On the surface [m], shape [3]."""
@@ -39,12 +39,13 @@ class Cursor:
 class Brush:
     """What the mouse does to the clay in a live session.
 
-    `handle` gets the events of Blender's window, `poses` is asked where the tool is before each
-    step of the solver, and `take_edits` what to add, take away and paint. Rays are cast in
-    `poses` alone, so that a fast mouse costs no more than a slow one.
+    `handle` queues the events of Blender's window. Before each step of the solver, `poses` gets the
+    clay and turns what was queued into the place of the tool; `take_edits` tells what to add,
+    remove and paint. Rays are cast in `poses` alone, so that a fast mouse costs no more than a slow
+    one.
 
     Args:
-        source: Where the settings are.
+        source: Where the settings are kept.
     """
 
     def __init__(self, source: Source) -> None:
@@ -59,20 +60,20 @@ class Brush:
         self._blade_radius = 0.0
         self._poses: list[tuple[NDArray[np.float64], bool]] = []
         self.cursor: Cursor | None = None
-        """Where the brush is on the clay; None if it is nowhere near."""
+        """Where the brush is on the clay; None if it is not near any."""
 
     # What the session asks ------------------------------------------------------------------------
 
     @property
     def settings(self) -> BrushSettings:
-        """What the brush is set to: during a stroke, what it was when that began."""
+        """The settings of the brush; during a stroke, those at its start."""
         return self._settings
 
     @property
     def mesh_key(self) -> Hashable:
-        """Changes when `meshes` do, which never is in the middle of a stroke.
+        """Changes when `meshes` do, but never during a stroke.
 
-        A radius changes poses only, but for blades, which are as thick as the spacing asks for.
+        A radius changes only the poses, except for blades: their thickness follows the spacing.
         """
         self._refresh()
         return self._key_of_meshes()
@@ -92,9 +93,13 @@ class Brush:
 
     @property
     def stroking(self) -> bool:
-        """Whether a stroke is under way, also after the button while the tool has not done."""
-        taken = self._input.pressed is not None or self._input.held
-        return taken or self._stroke is not None
+        """Whether a stroke is under way; the tool may still finish it after the button is up."""
+        return self._input.stroking or self._stroke is not None
+
+    @property
+    def pointer(self) -> Pointer | None:
+        """Where the mouse is; None outside the 3D views."""
+        return self._input.pointer
 
     @property
     def adjustment(self) -> Adjustment | None:
@@ -116,22 +121,29 @@ class Brush:
             return []
         shown = zip(meshes, self._poses, strict=True)
         drawn = [(mesh, pose, felt) for mesh, (pose, felt) in shown]
-        # Nobody needs to see the plate that holds the clay for a blade.
+        # The plate that holds the clay for a blade is not shown.
         return drawn[::2] if self._settings.tool.held else drawn
 
-    def poses(self, duration: float) -> list[tuple[NDArray[np.float64], bool]]:
-        """Where the tool's meshes are after so many seconds, and whether the clay feels them.
+    def poses(
+        self, duration: float, positions: NDArray[np.floating]
+    ) -> list[tuple[NDArray[np.float64], bool]]:
+        """Where the tool's meshes are at the end of the next step, and whether the clay feels them.
 
         Args:
-            duration: Of the coming step, simulated time [s].
+            duration: Simulated time of the step [s].
+            positions: All particles as shown, world [Blender units], shape [N, 3].
 
         Returns:
             World from the mesh's coordinates [m], shape [4, 4], scaled and mirrored where needed,
             and whether it is felt; in the order of `meshes`.
         """
+        self._positions = positions
         self._refresh()
-        if self._input.pressed is not None:
-            self._begin()
+        press = self._input.take_press()
+        if press is not None:
+            # A stroke that has not quite finished makes way for the next one.
+            self._stroke = self._edit_stroke = None
+            self._begin(press)
         if self._stroke is not None:
             self._advance(duration)
         elif self._edit_stroke is not None:
@@ -141,55 +153,50 @@ class Brush:
         return list(self._poses)
 
     def take_edits(self) -> list[Edit]:
-        """What to do to the clay since the last call, in order."""
+        """Clay to add, remove or paint since the last call, in order."""
         edits, self._edits = self._edits, []
         return edits
 
     def cancel(self) -> None:
-        """Let go of everything: the stroke ends where it is, a value being chosen is taken back."""
+        """Drop everything: a stroke ends where it is, a value being chosen is restored."""
         self._input.cancel()
         self._stroke = self._edit_stroke = None
         self._poses = [(pose, False) for pose, _ in self._poses]
 
     # Events ---------------------------------------------------------------------------------------
 
-    def handle(self, context: Any, event: Any, positions: NDArray[np.floating]) -> bool:
+    def handle(self, context: Any, event: Any) -> bool:
         """Take an event of Blender's window.
 
         Args:
-            context: With the window that the event is of.
+            context: Its window is the event's.
             event: The event.
-            positions: Where the particles are now, world [Blender units], shape [N, 3].
 
         Returns:
-            Whether the event was the brush's, so that nobody else is to get it.
+            Whether the event was for the brush, so that nobody else should get it.
         """
-        self._positions = positions
         if event.type.startswith("TIMER") or event.type == "NONE":
             return False
         if event.value == "PRESS":
             self._refresh()
         taken = self._input.handle(context, event, self._settings, self._place)
-        if self._input.cancelled:
+        if self._input.take_cancel():
             self.cancel()
-        elif self._input.pressed is not None:
-            # A stroke that has not quite done makes way for the next one.
-            self._stroke = self._edit_stroke = None
         return taken
 
     def status_text(self) -> str:
-        """What keys and buttons do at the moment, for the status bar."""
+        """What keys and buttons do now, for the status bar."""
         return self._input.status_text(self._settings)
 
     # Strokes --------------------------------------------------------------------------------------
 
     def _refresh(self) -> None:
-        """Take up what is set now, but not in the middle of a stroke."""
+        """Read the settings again, unless a stroke is under way."""
         if not self.stroking and self._edit_stroke is None:
             self._settings = self._source.read()
 
     def _surface(self, *, keep: bool = False) -> ParticleSurface:
-        """The clay as it is now; a copy where it is to stay so."""
+        """The clay as shown; a copy if it must not change with the clay."""
         scale = np.float32(self._settings.scale)
         points = np.asarray(self._positions, np.float32)
         if scale != 1.0:
@@ -198,12 +205,10 @@ class Brush:
             points = points.copy()
         return ParticleSurface(points, self._settings.spacing)
 
-    def _begin(self) -> None:
-        press, self._input.pressed = self._input.pressed, None
-        assert press is not None
+    def _begin(self, press: Sample) -> None:
         pointer = press.pointer
         if not len(self._positions):
-            self._input.held = False
+            self._input.release()
             return
         surface = self._surface(keep=True)
         place = (self._settings, surface, pointer.view, pointer.x, pointer.y)
@@ -216,7 +221,7 @@ class Brush:
                 sole = sole_radius(own, made_radius) * self._settings.radius / made_radius
                 self._stroke = Stroke(*place, sole=sole, pressure=press.pressure)
         except LookupError:
-            self._input.held = False
+            self._input.release()
 
     def _advance(self, duration: float) -> None:
         stroke = self._stroke
@@ -246,7 +251,7 @@ class Brush:
             self._edit_stroke = None
 
     def _hover(self) -> None:
-        """Without a stroke the tool floats over the clay under the cursor."""
+        """Without a stroke, let the tool float over the clay under the cursor."""
         if self._input.adjustment is None:
             pointer, settings = self._input.pointer, self._settings
             self.cursor = None
@@ -285,7 +290,7 @@ class Brush:
             self._add_fences(enabled)
 
     def _add_fences(self, enabled: bool) -> None:
-        """Hold the clay while it is cut: beside each copy there is a plate, and one holds."""
+        """Hold the clay while it is cut: each copy gets a plate, but only the first plate holds."""
         direction = None if self._stroke is None else self._stroke.direction
         if self._stroke is None or direction is None:
             plate = np.eye(4)
@@ -293,8 +298,8 @@ class Brush:
             positions = self._stroke.surface.positions
             plate = fence_pose(self._settings, positions, direction, enabled)
         wires, self._poses = self._poses, []
-        for which, wire in enumerate(wires):
-            self._poses += [wire, (plate, enabled and direction is not None and which == 0)]
+        for number, wire in enumerate(wires):
+            self._poses += [wire, (plate, enabled and direction is not None and number == 0)]
 
     def _place(self, pointer: Pointer) -> NDArray[np.float64]:
         """Where the cursor is in the world [m], also beside the clay."""

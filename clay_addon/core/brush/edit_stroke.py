@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One stroke of a brush that adds, takes away or paints: dabs along the cursor's way."""
+"""One stroke of a brush that adds, removes or paints clay: dabs along the cursor's path."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from .raycast import ParticleSurface
 from .surface_path import SurfacePath, Waypoint
 from .view_ray import View
 
-_EVERY = 0.4
-"""Distance of two dabs [brush radii]."""
+_DAB_DISTANCE = 0.4
+"""Distance between dabs [brush radii]."""
 _OPPOSITE: dict[EditKind, EditKind] = {"add": "remove", "remove": "add", "paint": "paint"}
 
 
 class EditStroke:
-    """Dabs over the surface as it was at the beginning, so that clay does not grow without end.
+    """Dabs over the surface as it was at the start, so that clay does not grow without end.
 
-    A dab of clay is a sphere that looks out of the surface by strength times radius; one that
-    takes away reaches as far into it.
+    A dab that adds clay is a sphere that sticks out of the surface by strength times radius; one
+    that removes clay reaches as far into it.
 
     Args:
         settings: Of the brush, kept for the whole stroke.
         surface: The clay now.
-        view: What the cursor is in.
+        view: The view that the cursor is in.
         x: From the region's left edge [pixels].
         y: From its lower edge [pixels].
-        inverted: Add instead of taking away, and the other way round.
+        inverted: Remove instead of add, and vice versa.
+        pressure: Of the pen, 0 to 1; 1 for a mouse.
 
     Raises:
-        LookupError: There is no clay in front of the eye.
+        LookupError: There is no clay in front of the viewer.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class EditStroke:
         self.path = SurfacePath(surface, settings.radius)
         first = self.path.begin(view, x, y)
         if first is None:
-            raise LookupError("There is no clay in front of the eye.")
+            raise LookupError("There is no clay in front of the viewer.")
         self.base = first
         self.released = False
         self.strength = settings.strength * pressure
@@ -64,16 +65,16 @@ class EditStroke:
         self._dab(first)
 
     def move(self, view: View, x: float, y: float, *, pressure: float) -> None:
-        """The cursor has moved.
+        """Follow the cursor.
 
         Args:
-            view: What it is in.
+            view: The view that the cursor is in.
             x: From the region's left edge [pixels].
             y: From its lower edge [pixels].
             pressure: Of the pen, 0 to 1; 1 for a mouse.
         """
         self.strength = self.settings.strength * pressure
-        every = _EVERY * self.settings.radius
+        every = _DAB_DISTANCE * self.settings.radius
         for waypoint in self.path.extend(view, x, y):
             way = waypoint.point - self.base.point
             far = float(np.linalg.norm(way))
@@ -91,7 +92,7 @@ class EditStroke:
             self.base = waypoint
 
     def release(self) -> None:
-        """The button is up."""
+        """Note that the button is up."""
         self.released = True
 
     def take(self) -> list[Edit]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From events of Blender's window to what a brush is to do; and which events are nobody else's."""
+"""The input queue of a brush: events of Blender's window wait here until the next tick.
+
+It also decides which events are the brush's own, so that Blender does not see them.
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..tools.settings import BrushSettings
-from .adjust import LEAST_RADIUS, Adjusted, Adjustment
+from .adjust import MIN_RADIUS, Adjusted, Adjustment
 from .view_region import Pointer, find_pointer, pointer_in
 
 _MOVES = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
-_LEAST_PRESSURE = 0.05
-"""A pen reports nothing at first."""
+_MIN_PRESSURE = 0.05
+"""A pen reports no pressure at first."""
 _STEP = 1.1
 """A press of [ or ] changes the radius by this factor."""
-_MOST_SAMPLES = 6
-"""Of many motions between two steps, so many count."""
+_MAX_SAMPLES = 6
+"""At most this many of the motions between two steps are used."""
 
 
 class Source(Protocol):
-    """Where a brush's settings are kept; see `properties.SceneSource`."""
+    """Where the settings of a brush are kept; see `SceneSource`."""
 
     def read(self) -> BrushSettings:
         """What is set now."""
@@ -48,44 +51,72 @@ class Sample:
 
 
 class BrushInput:
-    """What the user does with mouse, pen, wheel and keys.
+    """Gathers what the user does with mouse, pen, wheel and keys, and hands it out at the tick.
 
     Args:
-        source: Where a radius or strength that is being chosen is written to.
+        source: Where a radius or strength that is being chosen is written.
     """
 
     def __init__(self, source: Source) -> None:
         self._source = source
         self._samples: list[Sample] = []
         self._wheel = 0.0
-        self.pointer: Pointer | None = None
-        """Where the mouse is; None outside of the 3D views."""
-        self.pressed: Sample | None = None
-        """A press that no stroke has begun with yet."""
-        self.held = False
-        """Whether the button of a stroke is down."""
-        self.cancelled = False
-        """Whether the user let go of the stroke; see `cancel`."""
-        self.adjustment: Adjustment | None = None
+        self._press: Sample | None = None
+        self._held = self._cancelled = False
+        self._adjustment: Adjustment | None = None
+        self._pointer: Pointer | None = None
+
+    @property
+    def pointer(self) -> Pointer | None:
+        """Where the mouse is; None outside the 3D views."""
+        return self._pointer
+
+    @property
+    def adjustment(self) -> Adjustment | None:
         """The radius or strength that is being chosen."""
+        return self._adjustment
+
+    @property
+    def held(self) -> bool:
+        """Whether the button of a stroke is down."""
+        return self._held
+
+    @property
+    def stroking(self) -> bool:
+        """Whether the button of a stroke is down, or was pressed and no stroke has begun yet."""
+        return self._held or self._press is not None
+
+    def take_press(self) -> Sample | None:
+        """The press that a stroke should begin with, once."""
+        press, self._press = self._press, None
+        return press
+
+    def take_cancel(self) -> bool:
+        """Whether the user has cancelled the stroke since the last call."""
+        cancelled, self._cancelled = self._cancelled, False
+        return cancelled
 
     def take_samples(self) -> list[Sample]:
-        """Some of the motions since the last call, evenly, the last always."""
+        """Motions since the last call, thinned out evenly; the last one is always among them."""
         samples, self._samples = self._samples, []
-        step = -(-len(samples) // _MOST_SAMPLES) if samples else 1
+        step = -(-len(samples) // _MAX_SAMPLES) if samples else 1
         return samples[::-1][::step][::-1]
 
     def take_wheel(self) -> float:
-        """Steps of the wheel since the last call; above 0 is deeper."""
+        """Steps of the wheel since the last call; positive is deeper."""
         steps, self._wheel = self._wheel, 0.0
         return steps
 
+    def release(self) -> None:
+        """Treat the button as released, where a stroke cannot begin."""
+        self._held = False
+
     def cancel(self) -> None:
-        """Let go of everything; a value that is being chosen is what it was before."""
-        if self.adjustment is not None:
-            self._source.write(self.adjustment.name, self.adjustment.start)
-        self.adjustment = self.pressed = None
-        self.held = self.cancelled = False
+        """Drop everything that waits; a value that is being chosen returns to what it was."""
+        if self._adjustment is not None:
+            self._source.write(self._adjustment.name, self._adjustment.start)
+        self._adjustment = self._press = None
+        self._held = self._cancelled = False
         self._samples.clear()
         self._wheel = 0.0
 
@@ -99,35 +130,32 @@ class BrushInput:
         """Take an event of Blender's window.
 
         Args:
-            context: With the window that the event is of.
+            context: Its window is the event's.
             event: The event.
             settings: What the brush is set to now.
             place: Where a pointer is in the world [m], shape [3].
 
         Returns:
-            Whether the event was the brush's.
+            Whether the event was for the brush.
         """
-        if self.adjustment is not None:
-            return self._adjust(context, event)
-        if self.held:
+        if self._adjustment is not None:
+            return self._adjust(event)
+        if self._held:
             return self._steer(context, event, settings)
-        self.pointer = pointer = find_pointer(context, event.mouse_x, event.mouse_y)
+        self._pointer = pointer = find_pointer(context, event.mouse_x, event.mouse_y)
         if pointer is None or event.type in _MOVES or event.value != "PRESS":
             return False
-        if event.type == "SPACE" and event.shift:
-            open_tool_menu()
-            return True
         if settings.tool.identifier == "NONE":
             return False
         if event.type == "LEFTMOUSE":
-            return self._press(pointer, event, settings)
+            return self._begin(pointer, event, settings)
         return self._key(event, pointer, settings, place)
 
     def status_text(self, settings: BrushSettings) -> str:
-        """What keys and buttons do at the moment, for the status bar."""
+        """What keys and buttons do now, for the status bar."""
         tool = settings.tool
         if self.adjustment is not None:
-            return "Left mouse: confirm   Right mouse: cancel   Shift: finely"
+            return "Left mouse: confirm   Right mouse: cancel   Shift: precise"
         if self.held and tool.path == "pinch":
             return "Wheel or Shift: pull away from the surface   Esc: let go"
         if self.held and tool.path not in ("edit", "view"):
@@ -136,33 +164,33 @@ class BrushInput:
         if tool.identifier != "NONE":
             parts.append(f"Left mouse: {tool.label}")
             if tool.edit in ("add", "remove"):
-                parts.append("Ctrl: " + ("take away" if tool.edit == "add" else "add"))
+                parts.append("Ctrl: " + ("remove" if tool.edit == "add" else "add"))
             parts += ["F, [ ]: radius", "Shift F: strength"]
         return "   ".join((*parts, "Shift Space: tools", "Esc: finish"))
 
-    def _press(self, pointer: Pointer, event: Any, settings: BrushSettings) -> bool:
+    def _begin(self, pointer: Pointer, event: Any, settings: BrushSettings) -> bool:
         inverts = event.ctrl and settings.tool.edit in ("add", "remove")
         if event.alt or event.shift or event.oskey or (event.ctrl and not inverts):
             return False
         self.cancel()
-        self.pressed = _sample(pointer, event, settings)
-        self.held = True
+        self._press = _sample(pointer, event, settings)
+        self._held = True
         return True
 
     def _steer(self, context: Any, event: Any, settings: BrushSettings) -> bool:
-        """During a stroke all events are the brush's."""
+        """Follow the mouse during a stroke; all events are then the brush's."""
         if event.type in _MOVES:
-            assert self.pointer is not None
-            area, region = self.pointer.area, self.pointer.region
-            self.pointer = pointer_in(context, area, region, event.mouse_x, event.mouse_y)
-            self._samples.append(_sample(self.pointer, event, settings))
+            assert self._pointer is not None
+            area, region = self._pointer.area, self._pointer.region
+            self._pointer = pointer_in(context, area, region, event.mouse_x, event.mouse_y)
+            self._samples.append(_sample(self._pointer, event, settings))
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
-            self.held = False
+            self._held = False
         elif event.type == "WINDOW_DEACTIVATE":
             # The release may go to another window.
-            self.held = False
+            self._held = False
         elif event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
-            self.cancelled = True
+            self._cancelled = True
         elif event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE"):
             self._wheel += 1.0 if event.type == "WHEELDOWNMOUSE" else -1.0
         return True
@@ -179,45 +207,38 @@ class BrushInput:
         if event.type == "F":
             name: Adjusted = "strength" if event.shift else "radius"
             pixel = pointer.view.pixel(place(pointer))
-            self.adjustment = Adjustment(name, getattr(settings, name), pixel, event.mouse_x)
+            self._adjustment = Adjustment(name, getattr(settings, name), pixel, event.mouse_x)
             self._tell()
             return True
         if event.type in ("LEFT_BRACKET", "RIGHT_BRACKET") and not event.shift:
             factor = _STEP if event.type == "RIGHT_BRACKET" else 1.0 / _STEP
-            self._source.write("radius", max(settings.radius * factor, LEAST_RADIUS))
+            self._source.write("radius", max(settings.radius * factor, MIN_RADIUS))
             return True
         return False
 
-    def _adjust(self, context: Any, event: Any) -> bool:
-        adjustment = self.adjustment
+    def _adjust(self, event: Any) -> bool:
+        adjustment = self._adjustment
         assert adjustment is not None
         if event.type in _MOVES:
             value = adjustment.move(event.mouse_x, precise=bool(event.shift))
             self._source.write(adjustment.name, value)
         elif event.value == "PRESS" and event.type in ("LEFTMOUSE", "RET", "NUMPAD_ENTER", "SPACE"):
-            self.adjustment = None
+            self._adjustment = None
         elif event.value == "PRESS" and event.type in ("RIGHTMOUSE", "ESC"):
             self.cancel()
         self._tell()
         return True
 
     def _tell(self) -> None:
-        """Show the value that is being chosen in the view's header."""
-        assert self.pointer is not None
-        text = None if self.adjustment is None else self.adjustment.text
-        self.pointer.area.header_text_set(text)
-        self.pointer.area.tag_redraw()
+        """Show the value that is being chosen in the header of the view."""
+        assert self._pointer is not None
+        text = None if self._adjustment is None else self._adjustment.text
+        self._pointer.area.header_text_set(text)
+        self._pointer.area.tag_redraw()
 
 
 def _sample(pointer: Pointer, event: Any, settings: BrushSettings) -> Sample:
     pressure = 1.0
     if settings.use_pressure and event.is_tablet:
-        pressure = float(min(max(event.pressure, _LEAST_PRESSURE), 1.0))
+        pressure = float(min(max(event.pressure, _MIN_PRESSURE), 1.0))
     return Sample(pointer, pressure, bool(event.shift), bool(event.ctrl))
-
-
-def open_tool_menu() -> None:
-    """Show all tools at the mouse, where Blender's toolbar pops up too."""
-    import bpy
-
-    bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")

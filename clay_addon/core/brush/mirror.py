@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mirrored copies of a tool: about the planes through the clay object's origin.
 
-Those are the planes that Blender's own sculpt mode mirrors about, and Make Clay puts the origin in
-the middle of the meshes that it takes, so a symmetric thing stays symmetric wherever it stands.
+Blender's own sculpt mode mirrors about these planes too. Make Clay puts the origin in the middle of
+the meshes it is made from, so a symmetric object stays symmetric wherever it is.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 SNAP = 0.3
-"""A tool nearer than this to a mirror plane works on the plane, without its copy [brush radii].
+"""A tool closer than this to a mirror plane works on the plane, without its copy [brush radii].
 
-Two tools in nearly the same place would squeeze the clay between them out with force.
+Two tools in nearly the same place would violently squeeze out the clay between them.
 """
 
 
@@ -40,7 +40,7 @@ def snap_to_planes(
     axes: tuple[bool, bool, bool],
     frame: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[bool, bool, bool]]:
-    """Bring a tool that is near a mirror plane onto it.
+    """Move a tool that is near a mirror plane onto the plane.
 
     Args:
         point: Where the tool is [m], shape [3].
@@ -50,7 +50,7 @@ def snap_to_planes(
         frame: World from the frame whose planes mirror [m], shape [4, 4].
 
     Returns:
-        The point, the normal, and the axes whose copies coincide with what they copy.
+        The point, the normal, and the axes whose copies coincide with the original.
     """
     local = frame[:3, :3].T @ (point - frame[:3, 3])
     way = frame[:3, :3].T @ normal
@@ -58,12 +58,12 @@ def snap_to_planes(
     local = np.where(on, 0.0, local)
     flat = np.where(on, 0.0, way)
     size = float(np.linalg.norm(flat))
-    # A surface that lies in the mirror plane itself has no direction left: keep the one it had.
+    # On a surface that is parallel to the mirror plane no direction is left: keep the normal.
     way = flat / size if size > 0.1 else way
     return frame[:3, :3] @ local + frame[:3, 3], frame[:3, :3] @ way, (on[0], on[1], on[2])
 
 
 def used_copies(axes: tuple[bool, bool, bool], coinciding: tuple[bool, bool, bool]) -> list[bool]:
-    """Which of the copies of `mirror_matrices` differ from those before them."""
+    """Whether each copy of `mirror_matrices` differs from those before it."""
     flips = product(*((False, True) if used else (False,) for used in axes))
     return [not any(f and c for f, c in zip(flip, coinciding, strict=True)) for flip in flips]

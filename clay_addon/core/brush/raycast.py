@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a ray meets the surface of clay that is given by its particles alone."""
+"""Where a ray meets the surface of clay that is only known by its particles."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ COVER = 0.75
 No ray slips between the particles of a cubic lattice at 0.71, of a disordered one slightly more.
 """
 SKIN = 0.5
-"""How far the surface lies outside the centres of the outermost particles [spacings]."""
-LEAST_REACH = 2.5
+"""How far the surface lies outside the centers of the outermost particles [spacings]."""
+MIN_REACH = 2.5
 """Normals and levels are averaged over at least this radius [spacings]."""
 
 
@@ -32,16 +32,16 @@ class SurfaceHit:
 
 
 class ParticleSurface:
-    """The surface of a piece of clay as it is at one moment.
+    """The surface of a piece of clay at one moment.
 
     A ray stops at the first ball of `COVER` spacings around a particle. There the normal is the
     gradient of the particles' density, smoothed by a kernel of the radius asked for, and the
-    surface lies `SKIN` spacings outside the outermost particles around. A ray costs one pass over
+    surface lies `SKIN` spacings outside the outermost particles nearby. A ray costs one pass over
     the particles, and the rest of the work is with the few that lie in a slab around the ray.
 
     Args:
         positions: Particle positions [m], shape [N, 3]. They are not copied.
-        spacing: Distance of neighbouring particles [m].
+        spacing: Distance between neighboring particles [m].
 
     Raises:
         ValueError: The positions have another shape, or the spacing is not positive.
@@ -73,7 +73,7 @@ class ParticleSurface:
         start = np.asarray(origin, np.float64)
         way = np.asarray(direction, np.float64)
         way = way / np.linalg.norm(way)
-        reach = max(radius, LEAST_REACH * self.spacing)
+        reach = max(radius, MIN_REACH * self.spacing)
         near = self._slab(start, way, max(reach, COVER * self.spacing))
         along = (near - start) @ way
         beside = np.linalg.norm(near - start - along[:, None] * way, axis=1)
@@ -115,7 +115,7 @@ class ParticleSurface:
         return float(counted.max()) + SKIN * self.spacing if len(counted) else 0.0
 
     def nearest_distance(self, origin: ArrayLike, direction: ArrayLike) -> float | None:
-        """Distance along a ray to abreast of the particle nearest to it [m]; None without any.
+        """Distance along a ray to the point closest to any particle [m]; None if all are behind it.
 
         Args:
             origin: Where the ray starts [m], shape [3].
@@ -132,7 +132,7 @@ class ParticleSurface:
     def _slab(
         self, start: NDArray[np.float64], way: NDArray[np.float64], reach: float
     ) -> NDArray[np.float64]:
-        """Particles no farther than a reach from one plane through a line, shape [M, 3]."""
+        """Particles within some reach of a plane through a line, shape [M, 3]."""
         side = np.cross(np.eye(3)[np.argmin(np.abs(way))], way)
         side /= np.linalg.norm(side)
         # One product with a vector is the only pass over all particles.
@@ -147,7 +147,7 @@ class ParticleSurface:
         reach: float,
         way: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Where the clay thins out fastest; never away from who looks along the ray."""
+        """Direction in which the clay thins out fastest, turned to face the viewer."""
         away = point - around
         weight = (1.0 - np.einsum("ij,ij->i", away, away) / reach**2) ** 2
         normal = weight @ away
@@ -162,7 +162,7 @@ class ParticleSurface:
         around: NDArray[np.float64],
         way: NDArray[np.float64],
     ) -> float:
-        """From the ball that was hit to the surface, along the ray [m].
+        """Distance along the ray from the ball that was hit to the surface [m].
 
         Balls make a bumpy surface. A smooth maximum of the particles' heights makes it a plane
         over a lattice's layer, whichever gap the ray fell in.
@@ -183,7 +183,7 @@ class ParticleSurface:
         around: NDArray[np.float64],
         way: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Point and normal of the plane that fits the surface around best."""
+        """Point and normal of the plane that best fits the surface nearby."""
         seed = np.eye(3)[np.argmin(np.abs(normal))]
         right = np.cross(seed, normal)
         right /= np.linalg.norm(right)
@@ -191,7 +191,7 @@ class ParticleSurface:
         away = around - point
         height = away @ normal
         flat = np.column_stack((away @ right, away @ up))
-        # The highest particle of each cell is the surface's; what lies far below is another side.
+        # The highest particle of each cell is on the surface; those far below are on another side.
         cells = np.floor(flat / self.spacing).astype(np.int64)
         cells -= cells.min(0)
         key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One stroke of a tool that touches the clay: where it is, and no faster than a hand."""
+"""One stroke of a tool that touches the clay; it moves no faster than a hand."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from .surface_path import SurfacePath, Waypoint
 from .view_ray import View
 
 _EASE = 0.06
-"""The depth follows what is asked for with this time constant [s]: a mouse knows no pressure."""
+"""Time constant with which the depth approaches its target [s]: a mouse has no pressure."""
 _TURN = 12.0
-"""A tool turns no faster than this [rad/s]."""
+"""Fastest turn of a tool [rad/s]."""
 _CLEAR = 0.8
-"""A tool is set down so far above the clay [spacings]."""
+"""Height above the clay at which a tool is set down [spacings]."""
 _WHEEL = 0.15
-"""One step of the wheel changes the depth by this [brush radii]."""
+"""Change of depth for one step of the wheel [brush radii]."""
 _PULL = 0.4
-"""One step of the wheel pulls a pinch by this [brush radii]."""
+"""Pull of a pinch for one step of the wheel [brush radii]."""
 _LINGER = 0.5
-"""After the button is let go, a tool has this long to reach its depth [s]."""
+"""Time a tool has to reach its depth after the button is released [s]."""
 HOVER = 0.25
-"""A tool that waits floats so far above the clay [brush radii]."""
+"""Height at which a waiting tool floats above the clay [brush radii]."""
 _DIRECTED = 0.3
-"""So far the cursor goes before its direction is known [brush radii]."""
+"""Travel of the cursor after which its direction is known [brush radii]."""
 _WAIT = 0.4
-"""A tool does not wait longer than this for its direction [s]."""
+"""Longest time a tool waits for its direction [s]."""
 PINCH_OPEN = 1.6
-"""Half the distance of the axes of two fingers before they close [brush radii]."""
+"""Half the distance between the axes of two open fingers [brush radii]."""
 PINCH_LEAN = np.radians(30.0)
-"""Fingertips that pinch are nearer to each other than the fingers are, so that clay between them
-comes along when they rise."""
+"""Lean of pinching fingers [rad]: their tips are closer together than the rest, so that clay
+between them comes along when they rise."""
 _PINCH_SPEED = 0.12
 """How fast two fingers close [m/s]."""
 
 
 class Stroke:
-    """A tool on its way, from the press of the button until it has done.
+    """A moving tool, from the press of the button until it has finished.
 
     First the tool stands clear of the clay, which does not feel it yet. Then it goes down to its
-    depth under the surface as that was at the beginning, and along with the cursor. Where the path
-    jumps, it is lifted and set down anew.
+    depth under the surface as it was at the start, and follows the cursor. Where the path jumps,
+    the tool is lifted and set down again.
 
     Args:
         settings: Of the brush, kept for the whole stroke.
         surface: The clay now.
-        view: What the cursor is in.
+        view: The view that the cursor is in.
         x: From the region's left edge [pixels].
         y: From its lower edge [pixels].
-        sole: How far the tool reaches sideways [m]; the brush's radius where that is more.
+        sole: How far the tool reaches sideways [m]; at least the radius of the brush is used.
         pressure: Of the pen, 0 to 1; 1 for a mouse.
 
     Raises:
-        LookupError: There is no clay in front of the eye.
+        LookupError: There is no clay in front of the viewer.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class Stroke:
         )
         first = self.path.begin(view, x, y)
         if first is None:
-            raise LookupError("There is no clay in front of the eye.")
+            raise LookupError("There is no clay in front of the viewer.")
         if self.tool.path == "view":
             first = self._through_clay(view, x, y)
         self.base = first
@@ -91,11 +91,11 @@ class Stroke:
         self.depth = -HOVER * settings.radius
         self.tip = first.point - self.depth * first.normal
         self.gap = PINCH_OPEN * settings.radius
-        """Half the distance of two fingers' axes [m]."""
+        """Half the distance between the axes of two fingers [m]."""
         self.direction: NDArray[np.float64] | None = None
-        """Unit vector along which a tool that had to know it has set out, shape [3]."""
+        """Direction in which an aligned tool has set out, shape [3]; None before it is known."""
         self.rolled = 0.0
-        """Angle that a tool that rolls has turned [rad]."""
+        """Angle by which a rolling tool has turned [rad]."""
         self.enabled = False
         """Whether the clay feels the tool."""
         self.released = False
@@ -112,12 +112,12 @@ class Stroke:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it follows no surface."""
+        """Whether the tool follows no surface."""
         return self.tool.path in ("view", "pinch")
 
     @property
     def wanted_depth(self) -> float:
-        """How far under the surface the tool is to be [m]."""
+        """Depth under the surface that the tool aims for [m]."""
         if self.tool.path == "view":
             return 0.0
         deep = self.tool.depth * self.settings.strength * self._pressure
@@ -126,7 +126,7 @@ class Stroke:
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left to be done."""
+        """Whether the tool has nothing left to do."""
         if not self.released or self._queue or not self._standing:
             return False
         reach = 0.05 * self.settings.radius
@@ -137,21 +137,21 @@ class Stroke:
     # What the user does ---------------------------------------------------------------------------
 
     def move(self, view: View, x: float, y: float, *, pressure: float, pull: bool) -> None:
-        """The cursor has moved.
+        """Follow the cursor.
 
         Args:
-            view: What it is in.
+            view: The view that the cursor is in.
             x: From the region's left edge [pixels].
             y: From its lower edge [pixels].
             pressure: Of the pen, 0 to 1; 1 for a mouse.
-            pull: Whether it moves a pinch along the surface's normal instead.
+            pull: Whether the cursor moves a pinch along the surface's normal instead.
         """
         self._pressure = pressure
         if self.tool.path == "anchored":
             return
         before, self._cursor = self._cursor, (x, y)
         if pull and self.tool.path == "pinch":
-            # What is pulled is not moved, now or when the key is let go.
+            # Travel that pulls does not move the pinch, now or after the key is released.
             dx, dy = x - before[0], y - before[1]
             self._shifted = (self._shifted[0] + dx, self._shifted[1] + dy)
             self._extra -= dy * view.pixel(self.base.point)
@@ -164,21 +164,21 @@ class Stroke:
             self._queue.append(waypoint)
 
     def wheel(self, steps: float) -> None:
-        """Go deeper by steps of the wheel; less than 0 is less deep, and pulls a pinch out."""
+        """Go deeper by steps of the wheel; negative is less deep, and pulls a pinch out."""
         share = _PULL if self.tool.path == "pinch" else _WHEEL
         self._extra += steps * share * self.settings.radius
 
     def release(self) -> None:
-        """The button is up."""
+        """Note that the button is up."""
         self.released = True
 
     # What the tool does ---------------------------------------------------------------------------
 
     def advance(self, duration: float) -> None:
-        """Go on for so many seconds of simulated time."""
+        """Move for some simulated time [s]."""
         if not self._standing:
             if self._waits(duration):
-                # Over the clay as before the stroke, for where it is going is not known yet.
+                # It stays above the clay until its direction is known.
                 return
             self._set_down()
             return
@@ -204,9 +204,9 @@ class Stroke:
 
     @property
     def closed_gap(self) -> float:
-        """Half the distance of two fingers' axes when they hold clay [m]."""
+        """Half the distance between the axes of two fingers that hold clay [m]."""
         thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
-        # The fingertips are round, and lean, so they meet above the points that are posed.
+        # The fingertips are round and lean, so they meet above the points that are posed.
         return self.tool.size * self.settings.radius * (1.0 - np.sin(PINCH_LEAN)) + thin
 
     @property
@@ -214,7 +214,7 @@ class Stroke:
         return self.tool.path == "pinch" and self.gap > self.closed_gap
 
     def _waits(self, duration: float) -> bool:
-        """Whether a tool that is to be turned along the stroke waits for its direction."""
+        """Whether a tool that is aligned with the stroke still waits for its direction."""
         if not self._undirected:
             return False
         self._waited += duration
@@ -228,7 +228,7 @@ class Stroke:
         return False
 
     def _set_down(self) -> None:
-        """Stand clear of the clay, unfelt: the tool may have come from anywhere."""
+        """Stand clear of the clay and unfelt, as the tool may have come from anywhere."""
         self._standing = True
         self.enabled = False
         if self.tool.path != "view":

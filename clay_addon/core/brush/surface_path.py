@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cursor's way over the clay as it was when the stroke began."""
+"""The path of the cursor over the clay as it was when the stroke began."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from .raycast import ParticleSurface
 from .view_ray import Ray, View
 
-_MOST_RAYS = 8
-"""So many rays are cast for one motion of the cursor at most, so that none takes long."""
-_LEAST_PIXELS = 3.0
-"""Nearer together no rays are cast: the surface between is straight [pixels]."""
+_MAX_RAYS = 8
+"""Most rays cast for one motion of the cursor, so that none takes long."""
+_MIN_PIXELS = 3.0
+"""Least distance between rays [pixels]: closer together, the surface counts as straight."""
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place where the tool is to go."""
+    """A place for the tool to go to."""
 
     point: NDArray[np.float64]
     """On the surface, or in the plane of the view beside it [m], shape [3]."""
@@ -29,21 +29,21 @@ class Waypoint:
     on_clay: bool
     """Whether the cursor is on the clay."""
     jump: bool = False
-    """Whether something lies between it and the one before, so that the tool must be lifted."""
+    """Whether there is a gap before it, so that the tool must be lifted."""
 
 
 class SurfacePath:
     """Turns places of the cursor into places of the tool.
 
-    The surface is that of the beginning, so a tool that stays where it is does not dig itself in.
-    Where the cursor leaves the clay, it goes on in the plane of the view through its last place;
-    where it crosses an edge to something far behind or in front, the path jumps.
+    The surface is that of the start, so a tool that stays in place does not dig itself in. Where
+    the cursor leaves the clay, the path continues in the plane of the view through the last place.
+    Where the cursor crosses an edge to something far behind or in front, the path jumps.
 
     Args:
         surface: The clay when the stroke begins.
         radius: Of the brush [m].
         level: Follow the surface low-passed.
-        flat: Follow no surface, but the plane of the view from the first place on.
+        flat: Follow the plane of the view through the first place, and no surface.
     """
 
     def __init__(
@@ -57,10 +57,10 @@ class SurfacePath:
         self._pixel = (0.0, 0.0)
 
     def begin(self, view: View, x: float, y: float) -> Waypoint | None:
-        """Where the stroke begins; None if there is no clay in front of the eye.
+        """Where the stroke begins; None if there is no clay in front of the viewer.
 
         Args:
-            view: What the cursor is in.
+            view: The view that the cursor is in.
             x: From the region's left edge [pixels].
             y: From its lower edge [pixels].
         """
@@ -75,14 +75,14 @@ class SurfacePath:
         return found
 
     def start_at(self, waypoint: Waypoint) -> None:
-        """Begin elsewhere than `begin` said, at the same place of the cursor."""
+        """Begin at another place than `begin` found, with the cursor where it is."""
         self._last = waypoint
 
     def extend(self, view: View, x: float, y: float) -> list[Waypoint]:
-        """What follows on the way to another place of the cursor.
+        """The waypoints on the way to a new place of the cursor.
 
         Args:
-            view: What the cursor is in.
+            view: The view that the cursor is in.
             x: From the region's left edge [pixels].
             y: From its lower edge [pixels].
         """
@@ -91,8 +91,8 @@ class SurfacePath:
         if far < 0.5:
             return []
         pixel = view.pixel(self._last.point)
-        step = max(0.5 * self.radius / max(pixel, 1e-12), _LEAST_PIXELS)
-        pieces = min(max(math.ceil(far / step), 1), _MOST_RAYS)
+        step = max(0.5 * self.radius / max(pixel, 1e-12), _MIN_PIXELS)
+        pieces = min(max(math.ceil(far / step), 1), _MAX_RAYS)
         begin, way = self._pixel, []
         for piece in range(1, pieces + 1):
             part = piece / pieces

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From where a tool's tip is to a pose for each of its meshes and mirrored copies."""
+"""A pose for each mesh and mirrored copy of a tool, from the place of its tip."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from .stroke import PINCH_LEAN, PINCH_OPEN
 
 _TOUCHING = 0.5
 _OFF = 2.0
-"""From the farthest particles' centres to the plate that holds them: held, and not [spacings]."""
-
+"""Distance of the plate from the centers of the farthest particles [spacings]: holding, and not."""
 
 _LEAN = np.eye(4)
 _LEAN[:3, :3] = matrices_from_rotation_vectors((0.0, PINCH_LEAN, 0.0))
@@ -29,14 +28,14 @@ def part_poses(
     rolled: float,
     extent: float,
 ) -> list[NDArray[np.float64]]:
-    """The parts of a tool in its own frame, whose origin is the tip; shape [4, 4] each.
+    """Poses of a tool's parts in its own frame, whose origin is the tip; shape [4, 4] each.
 
     Args:
         settings: Of the brush.
-        parts: Number of meshes, without a plate.
+        parts: Number of meshes, without the plate.
         made_radius: The radius that the meshes were made for [m].
-        gap: Half the distance of two fingers' axes [m]; wide open where not given.
-        rolled: Angle that a tool that rolls has turned about X [rad].
+        gap: Half the distance between the axes of two fingers [m]; wide open if not given.
+        rolled: Angle by which a rolling tool has turned about X [rad].
         extent: Of the clay [m]; a wire reaches through all of it.
     """
     radius = settings.radius
@@ -72,7 +71,7 @@ def copy_poses(
         tip: Where the tool's tip is [m], shape [3].
         rotation: World from the tool's axes, shape [3, 3].
         enabled: Whether the clay feels the tool.
-        parts: What `part_poses` gave; none for a brush that touches nothing.
+        parts: The result of `part_poses`; empty for a brush that touches nothing.
     """
     if not parts:
         return []
@@ -93,16 +92,16 @@ def fence_pose(
     direction: NDArray[np.float64],
     felt: bool,
 ) -> NDArray[np.float64]:
-    """Where the plate is that holds the clay while it is cut, shape [4, 4].
+    """Pose of the plate that holds the clay while it is cut, shape [4, 4].
 
-    A blade pushes harder than light clay holds to its table by itself. Tools do not meet each
-    other, so the blade passes through the plate.
+    A blade pushes harder than light clay sticks to its table. Tools do not collide with each other,
+    so the blade passes through the plate.
 
     Args:
         settings: Of the brush.
         positions: The clay when the stroke began [m], shape [N, 3].
         direction: Unit vector of the stroke, shape [3].
-        felt: Whether it touches the clay, or stands off.
+        felt: Whether it touches the clay or stands off.
     """
     middle = positions.mean(0, dtype=np.float64)
     far = float((positions @ direction.astype(np.float32)).max()) - float(middle @ direction)

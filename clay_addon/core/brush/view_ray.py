@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays from a 3D view into the scene, and back: plain mathematics, without Blender."""
+"""Rays from a 3D view into the scene and back, without Blender."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Ray:
     def meet_plane(
         self, point: NDArray[np.float64], normal: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Where it meets a plane [m], shape [3]; None if it runs along it or away from it."""
+        """Where the ray meets a plane [m], shape [3]; None if it runs along or away from it."""
         slope = float(self.direction @ normal)
         if abs(slope) < 1e-6:
             return None
@@ -107,7 +107,7 @@ class View:
         return max(float(np.linalg.norm(self.perspective[2, :3])), 1e-9)
 
     def project(self, point: ArrayLike) -> tuple[float, float] | None:
-        """The pixel that shows a point [m]; None if it is behind the eye."""
+        """The pixel that shows a point [m]; None if the point is behind the viewer."""
         clip = self.perspective @ np.append(np.asarray(point, np.float64) / self.scale, 1.0)
         if clip[3] <= 1e-12:
             return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which 3D view is under the mouse, and whether it is the view's own to take the click."""
+"""The 3D view under the mouse, unless a panel, header or gizmo is there."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from .view_ray import View
 
 _GIZMO_MARGIN = 12
-"""Around the gizmo that turns the view [pixels of the interface]."""
+"""Margin around the navigation gizmo [interface pixels]."""
 _BUTTON = 30
-"""Side of one of the round buttons below it [pixels of the interface]."""
+"""Size of one of the round buttons below the gizmo [interface pixels]."""
 _BUTTONS = 5
 
 
@@ -62,7 +62,7 @@ def find_pointer(context: Any, mouse_x: int, mouse_y: int) -> Pointer | None:
 
 
 def pointer_in(context: Any, area: Any, region: Any, mouse_x: int, mouse_y: int) -> Pointer:
-    """The mouse seen from a region, also when it has left that during a stroke."""
+    """The mouse as seen from a region, even after it has left the region during a stroke."""
     shown = region.data
     view = View(
         np.array(shown.perspective_matrix, np.float64),
@@ -72,7 +72,7 @@ def pointer_in(context: Any, area: Any, region: Any, mouse_x: int, mouse_y: int)
         height=region.height,
         scale=context.scene.unit_settings.scale_length,
     )
-    # The middle of the pixel.
+    # The center of the pixel.
     return Pointer(view, mouse_x - region.x + 0.5, mouse_y - region.y + 0.5, area, region)
 
 
@@ -81,7 +81,7 @@ def _inside(part: Any, x: int, y: int) -> bool:
 
 
 def _on_gizmo(context: Any, area: Any, region: Any, x: int, y: int) -> bool:
-    """Whether the mouse is on the gizmo that turns the view or the buttons below it."""
+    """Whether the mouse is on the navigation gizmo or the buttons below it."""
     space = area.spaces.active
     preferences = context.preferences
     if not (space.show_gizmo and space.show_gizmo_navigate):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the time of a live frame goes."""
+"""How long each part of a live frame takes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from statistics import median
 
 _RECENT = 120
-"""So many of the last values count."""
+"""Number of recent values that count."""
 
 
 class FrameBudget:
@@ -25,7 +25,7 @@ class FrameBudget:
 
     @contextmanager
     def measured(self, part: str) -> Iterator[None]:
-        """Note how long what is done inside takes."""
+        """Measure and note the time spent inside the context."""
         began = time.perf_counter()
         yield
         self.took(part, time.perf_counter() - began)

@@ -18,59 +18,59 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Stepped:
-    """What a step came to."""
+    """The result of a step."""
 
     duration: float
-    """Time that was simulated [s]; 0 of a solver that was only built."""
+    """Time that was simulated [s]; 0 for a solver that was only built."""
     seconds: float
     """Time it took to compute [s]."""
     positions: NDArray[np.float32]
     """Of the particles [m], shape [N, 3]."""
     contacts: tuple[HandContacts, ...]
-    """What each hand feels."""
+    """Contacts on each hand."""
     tool_force: float
-    """Of the clay on the tools, all together [N]."""
+    """Total force of the clay on the tools [N]."""
 
 
 class SolverWorker:
-    """Does one thing at a time beside the main thread, which hands it over and looks in for it."""
+    """Runs one task at a time on its own thread; the main thread polls for the result."""
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-sculpt")
         self._task: Future[Stepped] | None = None
         self.since = 0.0
-        """When what it does was begun, by `time.perf_counter` [s]."""
+        """When the task began, by `time.perf_counter` [s]."""
 
     @property
     def busy(self) -> bool:
-        """Whether something is being done."""
+        """Whether a task is running."""
         return self._task is not None and not self._task.done()
 
     def begin(self, work: Callable[[], Stepped]) -> None:
-        """Begin with something; what was done before must have been taken.
+        """Begin a task, after the result of the last one was taken.
 
         Raises:
-            RuntimeError: Something else is being done, or waits to be taken.
+            RuntimeError: A task is running, or its result waits to be taken.
         """
         if self._task is not None:
-            raise RuntimeError("The worker has something to do already.")
+            raise RuntimeError("The worker already has a task.")
         self.since = time.perf_counter()
         self._task = self._executor.submit(work)
 
     def take(self) -> Stepped | None:
-        """What was done since the last call, if it is done; what it raised is raised here."""
+        """The result of the task once it is done, else None; what it raised is raised here."""
         if self._task is None or not self._task.done():
             return None
         task, self._task = self._task, None
         return task.result()
 
     def wait(self) -> None:
-        """Wait until nothing is being done."""
+        """Wait until no task is running."""
         if self._task is not None:
             self._task.exception()
 
     def close(self) -> None:
-        """Let the thread end; what is being done comes to nothing."""
+        """Let the thread end after the running task, whose result is dropped."""
         self._executor.shutdown(wait=False, cancel_futures=True)
 
 
@@ -80,10 +80,10 @@ def step(
     """Advance a solver.
 
     Args:
-        solver: It reaches what its colliders and hands were last told.
-        duration: Time to simulate [s]; 0 only looks.
-        hands: Of its scene.
-        tools: Colliders of its scene.
+        solver: Its colliders and hands move to where they were last placed.
+        duration: Time to simulate [s]; 0 only reads the state.
+        hands: Those of its scene.
+        tools: Tool colliders of its scene.
     """
     began = time.perf_counter()
     if duration:

@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .clay_layout import ClayLayout, ClaySlice
 from .foci import FOCI
-from .meta import ClaySlice, Meta
+from .meta import Meta
 from .whole_files import (
     CacheDamagedError,
     CacheError,
@@ -37,6 +38,7 @@ __all__ = [
     "CacheDamagedError",
     "CacheError",
     "CacheMissingError",
+    "ClayLayout",
     "ClaySlice",
     "Frame",
     "Meta",
@@ -132,7 +134,7 @@ class Cache:
         return self._numbers(FOCI)
 
     def read_colors(self) -> NDArray[np.float32]:
-        """Colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+        """Colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
 
         Raises:
             CacheMissingError: They are not there.
@@ -141,7 +143,7 @@ class Cache:
         path = self.directory / "colors.npz"
         colors = read_arrays(path, ("colors",))["colors"]
         if colors.shape != (self.meta().particle_count, 4) or colors.dtype != np.float32:
-            raise CacheDamagedError(f"{path.name} holds colours of the wrong size")
+            raise CacheDamagedError(f"{path.name} holds colors of the wrong size")
         return colors
 
     def read_checkpoint(self, number: int, *, meta: Meta | None = None) -> dict[str, Any]:
@@ -226,7 +228,7 @@ class Cache:
         self.write_meta(meta)
 
     def write_colors(self, colors: NDArray[np.floating]) -> None:
-        """Write the colours of the particles, linear RGBA in 0 to 1, shape [N, 4].
+        """Write the colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.

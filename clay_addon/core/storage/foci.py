@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points recorded with a bake: a file ``foci_000001.npz`` for each frame that was felt."""
+"""Focal points recorded with a bake: one file ``foci_000001.npz`` for each frame with touch."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from .meta import Meta
 from .whole_files import CacheDamagedError, read_arrays, write_arrays
 
 FOCI = re.compile(r"foci_(-\d{5,}|\d{6,})\.npz")
-"""What such a file is called."""
+"""Matches the name of such a file."""
 
 
 @dataclass(frozen=True)
 class FociFrame:
-    """What an ultrasound array let feel at one frame."""
+    """Focal points of an ultrasound array at one frame."""
 
     number: int
     """Frame number."""

@@ -10,19 +10,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from .clay_layout import ClayLayout, ClaySlice
 from .whole_files import CacheDamagedError
 
 FORMAT_VERSION = 1
-
-
-@dataclass(frozen=True)
-class ClaySlice:
-    """One clay object's part of every frame."""
-
-    name: str
-    """The object's name."""
-    count: int
-    """Number of its particles; the objects follow each other in the order of the list."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +43,14 @@ class Meta:
         return "take" in self.settings
 
     @property
+    def layout(self) -> ClayLayout:
+        """Which rows of a frame belong to which object."""
+        return ClayLayout(self.clay)
+
+    @property
     def particle_count(self) -> int:
         """Number of particles in every frame."""
-        return sum(part.count for part in self.clay)
+        return self.layout.particle_count
 
     @property
     def digest(self) -> bytes:

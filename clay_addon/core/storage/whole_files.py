@@ -16,8 +16,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.core.errors import TactileClayError
 
-class CacheError(Exception):
+
+class CacheError(TactileClayError):
     """A cache cannot be read or written; the message says why and what to do."""
 
 
@@ -94,7 +96,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], *, lasting: bo
     Args:
         path: The file.
         write: Writes it.
-        lasting: Whether also a power cut right after leaves it whole, which takes a while.
+        lasting: Whether it also survives a power cut right afterward, which takes longer.
     """
     try:
         temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"

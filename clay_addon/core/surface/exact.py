@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exact surface of a particle clay: one closed, coloured triangle mesh of the right volume."""
+"""Exact surface of a particle clay: one closed, colored triangle mesh of the right volume."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ....solver.core.errors import TactileClayError
 from .particle_grid import ParticleGrid
 
 Floats = NDArray[np.float64]
@@ -22,19 +23,19 @@ KERNEL_SUPPORT = 2.0
 CELL_SIZES = (0.35, 0.3337, 0.3681)
 """Marching-cubes cells; the later ones are tried only when a mesh fails its check."""
 OFFSET_LIMITS = (-0.15, 0.3)
-SMALLEST_CAVITY = 8.0
+MIN_CAVITY = 8.0
 """Voids below the volume of a cube of side 2 d are what loose packing leaves between
 particles: the spacing cannot tell them from clay, nobody can see them, and they trap resin in
 a print. Larger ones (a hollow model) are meant, and stay."""
-SMALLEST_PIECE = 0.02
+MIN_PIECE = 0.02
 """Shells below this are collapsed voids: a crumb of one particle has a volume of 1."""
-SMALLEST_EDGE = 1e-3
-LARGEST_VOLUME_ERROR = 0.003
-LARGEST_EXTENT = 1e5
+MIN_EDGE = 1e-3
+MAX_VOLUME_ERROR = 0.003
+MAX_EXTENT = 1e5
 COLOR_RADIUS = 1.5
 
 
-class SurfaceError(ValueError):
+class SurfaceError(TactileClayError, ValueError):
     """The particles have no surface that can be shipped; the message says why."""
 
 
@@ -87,8 +88,8 @@ def reconstruct(
     2023, doi:10.2312/vmv.20231245, by the splashsurf library). Then every separate piece is
     offset along its normals until it holds the volume of its own particles, one cube of side
     `spacing` each. Pieces too dense or too stretched for an offset of a third of the spacing are
-    scaled about their middle for the rest. A colour is a mean over the particles around a vertex;
-    where two colours meet the border is one or two spacings wide.
+    scaled about their middle for the rest. A color is a mean over the particles around a vertex;
+    where two colors meet the border is one or two spacings wide.
 
     Limitations: no feature smaller than about one spacing survives, and edges are rounded by half
     of one. Where a piece is thinner than that the offset may make it cross itself. Voids smaller
@@ -96,30 +97,30 @@ def reconstruct(
 
     Args:
         positions: Particle positions [m], shape [N, 3].
-        spacing: Distance d between neighbouring particles [m].
+        spacing: Distance d between neighboring particles [m].
         colors: Linear RGBA of the particles, 0..1, shape [N, 4].
         velocities: Velocities of the particles in any unit, shape [N, 3].
         smoothing: Smoothing passes. More of them flatten the trace of the particles further and
             round edges more.
 
     Raises:
-        SurfaceError: if there is no particle, a position, colour or velocity is not finite, shapes
+        SurfaceError: if there is no particle, a position, color or velocity is not finite, shapes
             do not match, the spacing is not positive, the particles lie too far apart, or no closed
             mesh could be made.
         ImportError: if pysplashsurf is missing.
     """
     points, distance = _checked_positions(positions, spacing)
-    tints = _checked_rows(colors, len(points), 4, "colour")
+    tints = _checked_rows(colors, len(points), 4, "color")
     motion = _checked_rows(velocities, len(points), 3, "velocity")
     rows = [part for part in (tints, motion) if part is not None]
     if smoothing < 0:
         raise SurfaceError(f"The number of smoothing passes must not be negative, got {smoothing}.")
     origin = (points.min(axis=0) + points.max(axis=0)) / 2
     local = (points - origin) / distance
-    if np.ptp(local, axis=0).max() > LARGEST_EXTENT:
+    if np.ptp(local, axis=0).max() > MAX_EXTENT:
         raise SurfaceError(
             f"The particles spread over {np.ptp(local, axis=0).max():.3g} spacings, more than the"
-            f" {LARGEST_EXTENT:g} that a surface can cover. Has a piece flown off, or is the"
+            f" {MAX_EXTENT:g} that a surface can cover. Has a piece flown off, or is the"
             f" spacing ({distance:g} m) in another unit than the positions?"
         )
     fault: SurfaceError | None = None
@@ -254,14 +255,14 @@ def _reconstruct_local(
     kept = solid[faces[:, 0]] >= 0
     used, compact = np.unique(faces[kept], return_inverse=True)
     vertices, faces, solid = vertices[used], compact.reshape(-1, 3), solid[used]
-    # Colours belong to where the particles are, before the volume is corrected.
+    # Colors belong to where the particles are, before the volume is corrected.
     carried = None if values is None else grid.blend(vertices, values)
     vertices = _match_volumes(vertices, faces, solid, particle_count)
     shortest = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, -1, axis=1)], axis=2).min()
-    if not shortest > SMALLEST_EDGE:
+    if not shortest > MIN_EDGE:
         raise SurfaceError(f"the mesh has an edge of {shortest:.1e} spacings.")
     error = float(_face_volumes(vertices, faces).sum()) / len(points) - 1
-    if not abs(error) < LARGEST_VOLUME_ERROR:
+    if not abs(error) < MAX_VOLUME_ERROR:
         raise SurfaceError(f"the mesh misses the volume of the particles by {error:.1%}.")
     check_closed_manifold(faces, len(vertices))
     return vertices, faces, carried
@@ -302,7 +303,7 @@ def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indic
     component = connected_components(len(vertices), faces.ravel(), np.roll(faces, -1, 1).ravel())
     shells, shell = np.unique(component, return_inverse=True)
     volumes = np.bincount(shell[faces[:, 0]], _face_volumes(vertices, faces), minlength=len(shells))
-    outer = volumes > SMALLEST_PIECE
+    outer = volumes > MIN_PIECE
     if not outer.any():
         raise SurfaceError("no shell encloses a volume.")
     if len(shells) == 1:
@@ -311,7 +312,7 @@ def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indic
     home = piece.copy()
     for void in np.flatnonzero(~outer).tolist():
         home[void] = _enclosing_shell(vertices, faces, shell, np.where(outer, volumes, 0), void)
-        piece[void] = home[void] if volumes[void] < -SMALLEST_CAVITY else -1
+        piece[void] = home[void] if volumes[void] < -MIN_CAVITY else -1
     largest = int(volumes.argmax())
     of_particle = np.full(grid.particle_count, -1)
     nearest = grid.nearest(vertices)

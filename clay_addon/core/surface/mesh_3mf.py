@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""3MF, the file of 3D printing: millimetres, one mesh, a colour at every corner.
+"""3MF, the file of 3D printing: millimeters, one mesh, a color at every corner.
 
 By the *3MF Core Specification* 1.3 and the *Materials and Properties Extension* 1.2.1 of the 3MF
 Consortium. The text goes into the archive in parts, so that no copy of the whole is held.

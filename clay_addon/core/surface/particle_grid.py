@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hash grid over particles: the nearest one, colour means, labels that spread."""
+"""Hash grid over particles: the nearest one, color means, labels that spread."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ParticleGrid:
         self.particle_count = len(points)
         self._points = points
         self._cell_size = cell_size
-        # A margin of two cells lets neighbours be looked up without clipping.
+        # A margin of two cells lets neighbors be looked up without clipping.
         self._low = points.min(axis=0) - 2 * cell_size
         self._size = ((points.max(axis=0) - self._low) / cell_size).astype(np.int64) + 4
         keys = self._keys(self._cells(points))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a take is: steps of hands and tools, edits of the clay, and the clay it began with."""
+"""What a take holds: steps of hands and tools, edits of the clay, and the clay at its start."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class TakeHeader:
-    """What a take is of, as its ``take.json`` keeps it."""
+    """What a take records, as stored in its ``take.json``."""
 
     frame_start: int
     """The frame at which it begins."""
     frames_per_second: float
-    """Of the timeline that it was recorded for [1/s]."""
+    """Frame rate of the timeline that it was recorded for [1/s]."""
     unit_scale: float
     """Length of a Blender unit [m]."""
     clay: tuple[tuple[str, int, float], ...]
     """Name, number of particles and their spacing [Blender units] of each clay object."""
     seconds: float | None = None
-    """How long it is [s]; None while it is recorded, or where it was cut short."""
+    """Its length [s]; None while it is recorded, or if it was cut short."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What the rows of some steps are of."""
+    """What the columns of some steps stand for."""
 
     objects: tuple[str, ...] = ()
-    """Objects whose own transform is followed."""
+    """Objects whose own transform is recorded."""
     armatures: tuple[tuple[str, tuple[str, ...]], ...] = ()
     """Armature objects, and their bones."""
     colliders: tuple[str, ...] = ()
@@ -52,22 +52,22 @@ class Steps:
     objects: NDArray[np.float32]
     """Each object's own transform, ``matrix_basis``, shape [K, O, 4, 4]."""
     bones: NDArray[np.float32]
-    """That of each bone, of all armatures after each other, shape [K, B, 4, 4]."""
+    """That of each bone, one armature after another, shape [K, B, 4, 4]."""
     contacts: NDArray[np.float32]
     """How much of each armature's hand touches the clay, 0 to 1, shape [K, A]."""
     enabled: NDArray[np.bool_]
-    """Which colliders the clay feels, shape [K, C]."""
+    """Whether the clay feels each collider, shape [K, C]."""
     tool_poses: NDArray[np.float32]
     """World from each tool's own coordinates [m], shape [K, T, 4, 4]."""
     tool_enabled: NDArray[np.bool_]
-    """Which tools the clay feels, shape [K, T]."""
+    """Whether the clay feels each tool, shape [K, T]."""
     events: list[dict[str, Any]] = field(default_factory=list)
     """Edits and rewinds, each with the number of steps of the whole take before it (``after``)."""
 
     ARRAYS = ("times", "objects", "bones", "contacts", "enabled", "tool_poses", "tool_enabled")
 
     def kept(self, rows: NDArray[np.bool_] | slice) -> Steps:
-        """Only some of the steps, without events."""
+        """Some of the steps, without events."""
         return Steps(self.layout, *(getattr(self, name)[rows] for name in self.ARRAYS))
 
 
@@ -84,7 +84,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True)
-class Edit:
+class TakeEdit:
     """A change to the particles themselves, such as added clay."""
 
     time: float
@@ -92,43 +92,43 @@ class Edit:
     kind: str
     """What was done."""
     parameters: Mapping[str, Any]
-    """How, whatever the spacing of the clay: lengths in metres, world space."""
+    """How, independent of the spacing of the clay: lengths in metres, world space."""
 
 
 @dataclass(frozen=True)
 class Take:
-    """A take as it was read; what was taken back by Undo is not in it."""
+    """A take as read from disk, without what was undone."""
 
     header: TakeHeader
     steps: tuple[Steps, ...]
     """All steps in the order of their times."""
-    edits: tuple[Edit, ...]
-    """In the order they were made."""
+    edits: tuple[TakeEdit, ...]
+    """Edits in the order they were made."""
     tools: Mapping[int, ToolShape]
     """By number."""
     start: Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
-    """World positions [Blender units], [N, 3], and colours, [N, 4], of each clay object."""
+    """World positions [Blender units], [N, 3], and colors, [N, 4], of each clay object."""
 
     @property
     def seconds(self) -> float:
-        """How long it is [s]."""
+        """Its length [s]."""
         last = float(self.steps[-1].times[-1])
         return last if self.header.seconds is None else self.header.seconds
 
 
 def frame_count(seconds: float, rate: float) -> int:
-    """Frames from the first of a take to its last, where it has come to its end."""
+    """Frames from the first of a take to its last, which shows the clay at its end."""
     return max(1, math.ceil(seconds * rate - 1e-6))
 
 
-def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[Edit]]:
-    """Leave out the steps and edits that were taken back.
+def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[TakeEdit]]:
+    """Leave out the steps and edits that were undone.
 
     Args:
         parts: All steps in the order they were recorded.
     """
     kept: list[Steps] = []
-    edits: list[Edit] = []
+    edits: list[TakeEdit] = []
     count = 0
     for part in parts:
         first = 0
@@ -140,9 +140,9 @@ def without_undone(parts: Sequence[Steps]) -> tuple[list[Steps], list[Edit]]:
             if event is None:
                 continue
             if event["event"] == "edit":
-                edits.append(Edit(event["time"], event["kind"], event["parameters"]))
+                edits.append(TakeEdit(event["time"], event["kind"], event["parameters"]))
                 continue
-            # Rewound: what lies later is gone.
+            # A rewind: everything later is dropped.
             del edits[event["edits"] :]
             kept = [
                 each.kept(each.times <= event["time"] + 1e-9)

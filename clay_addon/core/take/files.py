@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Takes on disk: what hands and tools did in a live session, step by step.
 
-A take's folder holds ``take.json``, which says what it is of; ``take_start.npz``, the clay it began
-with; ``take_tools_000.npz`` and so on, the tools that were in the mouse; and ``take_000000.npz``
-and so on, the steps, some seconds in each file. Every file is there whole or not at all, so a take
-that was cut short can be read up to its last file. The clay's frames stand beside them as a bake's.
+A take's folder holds ``take.json``, which says what was recorded; ``take_start.npz``, the clay at
+its start; ``take_tools_000.npz`` and so on, the tools that were in the mouse; and
+``take_000000.npz`` and so on, the steps, some seconds in each file. Every file is written whole or
+not at all, so a take that was cut short can be read up to its last file. The clay's frames lie
+beside them like those of a bake.
 """
 
 from __future__ import annotations
@@ -102,14 +103,14 @@ def write_tool(directory: Path, number: int, tool: ToolShape) -> None:
 
 
 def write_steps(directory: Path, number: int, steps: Steps) -> None:
-    """Write some steps as the file of a number.
+    """Write some steps to the file with a number.
 
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
     """
     text = json.dumps({"layout": asdict(steps.layout), "events": steps.events})
     arrays: dict[str, NDArray[Any]] = {name: getattr(steps, name) for name in Steps.ARRAYS}
-    # Of a pose's last row nothing is to be known.
+    # The last row of a pose is always 0, 0, 0, 1.
     for name in ("objects", "bones", "tool_poses"):
         arrays[name] = arrays[name][..., :3, :]
     arrays["said"] = np.frombuffer(text.encode(), np.uint8)
@@ -117,7 +118,7 @@ def write_steps(directory: Path, number: int, steps: Steps) -> None:
 
 
 def read_take(directory: Path, *, unwritten: Mapping[int, Steps] | None = None) -> Take:
-    """Read a take, also one that was cut short.
+    """Read a take, even one that was cut short.
 
     Args:
         directory: Its folder.
@@ -152,7 +153,7 @@ def read_take(directory: Path, *, unwritten: Mapping[int, Steps] | None = None) 
 
 
 def _numbered(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """Files of a take in the order of their numbers, up to the first that is missing."""
+    """Files of a take by number, up to the first one that is missing."""
     found = {}
     for path in directory.iterdir():
         if match := pattern.fullmatch(path.name):

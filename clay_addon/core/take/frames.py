@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The clay's frames of a take, at the timeline's frame rate, written as those of a bake.
+"""The clay's frames of a take, at the frame rate of the timeline, written like those of a bake.
 
-Where an edit changes how many particles there are, frames before it are at last written anew for
-the particles there are in the end, each shown where the nearest particle of that time was.
+If an edit changes the number of particles, the frames before it are written again at the end, with
+the final number of particles: each is shown where the nearest particle of that time was.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from .data import frame_count
 from .writer import TakeWriter
 
 _EPSILON = 1e-9
-"""Times nearer than this are the same [s]."""
+"""Times closer than this count as the same [s]."""
 
 
 class _Part(NamedTuple):
-    """Frames that have the same particles."""
+    """Frames with the same particles."""
 
     cache: Cache
     meta: Meta
     last: int
     shown: NDArray[np.int64]
-    """For each particle of the next part, the one of this part that was nearest."""
+    """For each particle of the next part, the nearest one of this part."""
 
 
 class TakeFrames:
@@ -50,7 +50,7 @@ class TakeFrames:
         self._parts: list[_Part] = []
 
     def first(self, positions: NDArray[np.float32]) -> None:
-        """Write the frame that the take begins with."""
+        """Write the first frame."""
         self._hand_over(positions, positions, 0.0, 0.0)
 
     def step(
@@ -72,7 +72,7 @@ class TakeFrames:
             self._hand_over(before, after, min(max(share, 0.0), 1.0), duration)
 
     def last(self, seconds: float, positions: NDArray[np.float32]) -> None:
-        """Write the frame at which the take has come to its end, and end.
+        """Write the last frame, and finish.
 
         Args:
             seconds: Length of the take [s].
@@ -99,12 +99,12 @@ class TakeFrames:
         after: NDArray[np.float32],
         clay: tuple[ClaySlice, ...],
     ) -> None:
-        """Go on with other particles.
+        """Continue with other particles.
 
         Args:
-            before: Positions of those there were, shape [N, 3].
-            after: Of those there are, shape [M, 3].
-            clay: What objects they are of.
+            before: Positions of the particles so far, shape [N, 3].
+            after: Positions of the particles from now on, shape [M, 3].
+            clay: The objects that these belong to.
         """
         part = _Part(self._now, self._meta, self._next - 1, nearest(before, after))
         self._parts.append(part)
@@ -114,7 +114,7 @@ class TakeFrames:
         self._writer.do(now.prepare)
 
     def tell_end(self) -> None:
-        """Write how far the frames go by now."""
+        """Write the number of the last frame so far."""
         cache, meta = self._now, replace(self._meta, end=max(self._next - 1, self._meta.start))
         self._writer.do(lambda: cache.write_meta(meta))
 
@@ -135,7 +135,7 @@ class TakeFrames:
             way = after - before
             velocities = way / np.float32(duration) if duration else np.zeros_like(way)
             frame = Frame(number, before + np.float32(share) * way, velocities)
-            # A power cut may take it: it can be made anew.
+            # A power cut may lose it; it can be computed again.
             cache.write_frame(frame, meta, lasting=False)
 
         self._writer.do(write)
@@ -156,7 +156,7 @@ _NONE = np.zeros(0, np.int64)
 
 
 def nearest(points: NDArray[np.floating], queries: NDArray[np.floating]) -> NDArray[np.int64]:
-    """The index of the nearest of some points, at least one, to each query, shape [Q]."""
+    """Index of the point nearest to each query, shape [Q]; there must be at least one point."""
     known = np.asarray(points, np.float64)
     asked = np.asarray(queries, np.float64)
     found = np.full(len(asked), -1)
@@ -169,7 +169,7 @@ def nearest(points: NDArray[np.floating], queries: NDArray[np.floating]) -> NDAr
 
 
 def _join(parts: list[_Part], last: _Part, cache: Cache, meta: Meta) -> None:
-    """Write the frames of all parts for the particles of the last."""
+    """Write the frames of all parts for the particles of the last part."""
     shown = np.arange(meta.particle_count)
     number = last.last - 1
     for part in [last, *reversed(parts)]:
@@ -180,7 +180,7 @@ def _join(parts: list[_Part], last: _Part, cache: Cache, meta: Meta) -> None:
             try:
                 frame = part.cache.read_frame(each, meta=part.meta)
             except CacheError:
-                # Of an earlier part, or damaged: it will be missing.
+                # Of another part, or damaged: the frame will be missing.
                 continue
             cache.write_frame(Frame(each, frame.positions[shown], frame.velocities[shown]), meta)
         number = min([number, *(each - 1 for each in numbers)])

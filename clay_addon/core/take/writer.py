@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The thread that writes a take to the disk while it is recorded. It knows nothing of Blender."""
+"""The thread that writes a take to the disk while it is recorded."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from ..storage.cache import CacheError
 
 
 class TakeWriter:
-    """Writes one thing after the other.
+    """Writes one task after another.
 
-    What cannot be written is tried again when the next thing comes, and at the end: a disk that was
-    full for a while costs nothing but memory.
+    What cannot be written is tried again with the next task and at the end, so a disk that is full
+    for a while costs only memory.
     """
 
     def __init__(self) -> None:
         self.problem = ""
-        """Why nothing can be written at the moment; empty where all is well."""
+        """Why nothing can be written now; empty if all is well."""
         self._lost = ""
         self._first: deque[Callable[[], None]] = deque()
         self._others: deque[Callable[[], None]] = deque()
@@ -29,11 +29,11 @@ class TakeWriter:
         self._thread.start()
 
     def do(self, task: Callable[[], None], *, first: bool = False) -> None:
-        """Hand over something that writes.
+        """Hand over a task that writes.
 
         Args:
-            task: May raise a CacheError, and is then tried again.
-            first: Whether it goes before all others that wait, but for those that are first, too.
+            task: If it raises a CacheError, it is tried again.
+            first: Whether it goes before all waiting tasks that were not handed over so.
         """
         with self._news:
             (self._first if first else self._others).append(task)
@@ -55,7 +55,7 @@ class TakeWriter:
     def _run(self) -> None:
         while True:
             with self._news:
-                # What was refused waits for the next thing, or for the end.
+                # A task that failed waits for the next one, or for the end.
                 if not self._closing and (self.problem or not (self._first or self._others)):
                     self._news.wait()
                 closing = self._closing
@@ -75,7 +75,7 @@ class TakeWriter:
             self.problem = str(error)
             return False
         except Exception as error:
-            # Nothing may end the thread, or hold up what follows, or all of that would be lost.
+            # An error must not end the thread or hold up what follows, which would then be lost.
             self._lost = f"A part of the take was not written ({type(error).__name__}: {error})."
             self.problem = self._lost
         return True

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Changes of the clay that no tool makes by touch: adding, taking away and painting particles.
+"""Changes of the clay without touch: adding, removing and painting particles.
 
-An edit says what happens in metres, so it means the same whatever the clay's spacing is.
+An edit is in metres, so it means the same for any spacing of the clay.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from numpy.typing import ArrayLike, NDArray
 
 EditKind = Literal["add", "remove", "paint"]
 
-LEAST_DISTANCE = 0.8
-"""New particles keep this far from those that are there [spacings]: nearer, they push them away."""
+MIN_DISTANCE = 0.8
+"""Least distance of new particles from existing ones [spacings]: closer, they push them away."""
 
 
 @dataclass(frozen=True)
 class Edit:
-    """One dab of a brush: what happens inside of a sphere."""
+    """One dab of a brush: a change inside a sphere."""
 
     kind: EditKind
-    """``add`` fills the sphere with clay, ``remove`` empties it, ``paint`` colours it."""
+    """``add`` fills the sphere with clay, ``remove`` empties it, ``paint`` colors it."""
     center: tuple[float, float, float]
     """Of the sphere, in the world [m]."""
     radius: float
     """Of the sphere [m]."""
     strength: float = 1.0
-    """Of paint, 0 to 1: what part of the colour in the middle becomes the edit's."""
+    """Of paint, 0 to 1: share of the new color at the center."""
     color: tuple[float, float, float, float] = (0.72, 0.36, 0.22, 1.0)
     """Of paint and of new clay, linear RGBA."""
 
@@ -38,7 +38,7 @@ class Edit:
             raise ValueError(f"There is no edit {self.kind!r}. There are: add, remove, paint.")
         numbers = (*self.center, self.radius, self.strength, *self.color)
         if len(self.center) != 3 or len(self.color) != 4 or not np.isfinite(numbers).all():
-            raise ValueError("An edit needs three finite coordinates and four of a colour.")
+            raise ValueError("An edit needs three finite coordinates and four of a color.")
         if self.radius <= 0.0:
             raise ValueError(f"The radius of an edit is {self.radius!r} m; it must be above 0.")
         if not 0.0 <= self.strength <= 1.0:
@@ -54,11 +54,11 @@ class EditResult:
     colors: NDArray[np.float32]
     """Linear RGBA, shape [M, 4]."""
     kept: NDArray[np.int64]
-    """Which particle of before each one is, or -1 for a new one, shape [M]."""
+    """Index of each particle before the edit, or -1 for a new one, shape [M]."""
 
     @property
     def moves_particles(self) -> bool:
-        """Whether particles came or went, so that not only colours changed."""
+        """Whether particles came or went, and not only colors changed."""
         return bool(len(self.kept) and self.kept[-1] < 0) or self._fewer
 
     _fewer: bool = False
@@ -80,7 +80,7 @@ def apply_edit(edit: Edit, positions: ArrayLike, colors: ArrayLike, spacing: flo
     paints = np.asarray(colors, np.float32)
     if points.ndim != 2 or points.shape[1] != 3 or paints.shape != (len(points), 4):
         raise ValueError(
-            f"Positions have shape {points.shape} and colours {paints.shape}; expected (N, 3) "
+            f"Positions have shape {points.shape} and colors {paints.shape}; expected (N, 3) "
             "and (N, 4)."
         )
     if not (np.isfinite(spacing) and spacing > 0.0):
@@ -117,7 +117,7 @@ def fall_off(fraction: NDArray[np.floating]) -> NDArray[np.float64]:
 def _new_points(
     center: NDArray[np.float64], radius: float, points: NDArray[np.float32], spacing: float
 ) -> NDArray[np.float32]:
-    """Points of a lattice in a sphere that is at rest in the world, away from particles [m].
+    """Points inside a sphere of a lattice fixed in the world, away from existing particles [m].
 
     The lattice is the same for all edits, so that dabs that overlap fit together.
     """
@@ -127,7 +127,7 @@ def _new_points(
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     lattice = lattice[np.linalg.norm(lattice - center, axis=1) < radius]
     near = points[(np.abs(points - center) < radius + spacing).all(1)].astype(np.float64)
-    free = _nearest_distance(lattice, near, spacing) >= LEAST_DISTANCE * spacing
+    free = _nearest_distance(lattice, near, spacing) >= MIN_DISTANCE * spacing
     return lattice[free].astype(np.float32)
 
 

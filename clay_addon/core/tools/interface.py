@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a live session asks of what the mouse holds."""
+"""What a live session asks of the tool in the mouse."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .settings import ToolMesh
 
 
 class Tools(Protocol):
-    """What the mouse holds; see `Brush`."""
+    """A tool in the mouse; see `Brush`."""
 
     @property
     def mesh_key(self) -> Hashable:
@@ -27,11 +27,18 @@ class Tools(Protocol):
     def meshes(self) -> Sequence[ToolMesh]:
         """What collides with the clay."""
 
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
-        """Where each mesh is after so many seconds, and whether the clay feels it."""
+    def poses(
+        self, duration: float, positions: NDArray[np.float32]
+    ) -> Sequence[tuple[NDArray[np.float64], bool]]:
+        """Where each mesh is at the end of the next step, and whether the clay feels it.
+
+        Args:
+            duration: Simulated time of the step [s].
+            positions: All particles as shown, world [Blender units], shape [N, 3].
+        """
 
     def take_edits(self) -> Sequence[Edit]:
-        """What to do to the clay beside that, since the last call."""
+        """Clay to add, remove or paint since the last call, in order."""
 
 
 class NoTools:
@@ -44,7 +51,9 @@ class NoTools:
         """None."""
         return ()
 
-    def poses(self, duration: float) -> Sequence[tuple[NDArray[np.float64], bool]]:
+    def poses(
+        self, duration: float, positions: NDArray[np.float32]
+    ) -> Sequence[tuple[NDArray[np.float64], bool]]:
         """None."""
         return ()
 

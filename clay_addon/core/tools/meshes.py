@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The meshes of the tools, sized for a brush: one that comes along, or an object of the user's."""
+"""The meshes of the tools, sized for a brush: presets, or an object of the user's."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .settings import BrushSettings, ToolMesh
 from .tools import Tool
 
 _PADS = (1.0, 1.5, 1.0)
-"""Fingers that pinch are broad, as the pads of thumb and finger are, so that clay stays between."""
+"""Pinching fingers are broad like the pads of thumb and finger, so that clay stays between them."""
 WIRE_LENGTH = 1.0
-"""Of a wire's mesh [m]; its pose stretches it."""
+"""Length of a wire's mesh [m]; its pose stretches it."""
 _WIRE_THICKNESS = 0.9
-"""Diameter of a wire [spacings]: thinner, the solver no longer cuts cleanly; see the presets."""
+"""Diameter of a wire [spacings]: a thinner one no longer cuts cleanly; see the presets."""
 
 
 def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
@@ -72,14 +72,14 @@ _preset = lru_cache(load_tool_preset)
 
 
 def is_aligned(tool: Tool) -> bool:
-    """Whether the stroke's direction must be known before a tool meets the clay."""
+    """Whether the direction of the stroke must be known before the tool meets the clay."""
     if tool.held:
         return True
     return tool.preset is not None and _preset(tool.preset).align == "stroke"
 
 
 def _fence() -> ToolMesh:
-    """A plate that holds against a blade on the far side of the clay: who cuts, holds.
+    """A plate that holds the clay on the far side of a blade.
 
     A box of 1 m, the middle of its upper side at the origin; its pose sizes it.
     """

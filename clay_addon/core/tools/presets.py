@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.core.errors import TactileClayError
 from ....solver.geometry.closed_mesh import MeshError, check_closed_mesh
 
 PRESET_FOLDER = Path(__file__).resolve().parents[3] / "presets" / "tools"
@@ -31,7 +32,7 @@ _TEXTS = ("label", "description", "mode", "align")
 _NUMBERS = ("friction", "size", "thinnest", "thickness")
 
 
-class ToolPresetError(ValueError):
+class ToolPresetError(TactileClayError, ValueError):
     """A tool preset cannot be used; the message names the file and what is wrong with it."""
 
 
@@ -44,24 +45,24 @@ class ToolPreset:
     """
 
     name: str
-    """What it is called in files."""
+    """Name in files."""
     label: str
-    """What it is called in the interface."""
+    """Name in the interface."""
     description: str
-    """What it does to clay, in a line."""
+    """What it does to clay, in one line."""
     mode: str
     """``press``: pushed into the surface; ``cut``: driven through the clay; ``scrape``: dragged
     half sunk, to take clay off."""
     friction: float
     """Coulomb friction coefficient."""
     size: float
-    """How much larger than its mesh the tool is drawn, in brush radii."""
+    """Scale of the mesh, in brush radii."""
     align: str
-    """``stroke``: +Y is turned along the stroke; ``none``: the tool is alike all round."""
+    """``stroke``: +Y is turned along the stroke; ``none``: the tool is rotationally symmetric."""
     thinnest: float
     """Thickness of a cutting tool's thin part in its mesh; 0 for tools that are thick enough."""
     thickness: float
-    """Least thickness of that part with which the solver cuts cleanly, in particle spacings."""
+    """Least thickness of that part for a clean cut, in particle spacings."""
     vertices: NDArray[np.float64]
     """Vertices, a brush radius being 1, shape [V, 3]."""
     faces: NDArray[np.int32]
@@ -84,8 +85,8 @@ class ToolPreset:
     def fitted(self, radius: float, spacing: float) -> NDArray[np.float64]:
         """Vertices for a brush radius, thick enough to cut clay of a particle spacing.
 
-        Every surface of a tool that would be too thin is moved outward by the same way, so that
-        edges stay sharp; what meets the clay first stays at height 0.
+        If the tool would be too thin, all of its surface is moved outward by the same distance, so
+        that edges stay sharp; the part that meets the clay first stays at height 0.
 
         Args:
             radius: Brush radius, in any unit of length.
@@ -105,16 +106,16 @@ class ToolPreset:
         if missing <= 0:
             return vertices
         moved = vertices + 0.5 * missing * outward_ways(self.vertices, self.faces)
-        # The beads at the ends of a wire lie lower than what meets the clay first.
+        # The beads at the ends of a wire lie lower than the part that meets the clay first.
         middle = np.hypot(*self.vertices[:, :2].T) <= 1.0
         moved[:, 2] -= moved[middle, 2].min()
         return moved
 
 
 def outward_ways(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """How each vertex must move so that the faces around it go outward by 1, shape [V, 3].
+    """How each vertex must move so that the faces around it move outward by 1, shape [V, 3].
 
-    Least squares of the faces' normals, weighed by their angle at the vertex; corners go no
+    Least squares of the faces' normals, weighed by their angle at the vertex; corners move no
     farther than `_MITRE`.
     """
     corners = vertices[faces]
@@ -192,10 +193,10 @@ def _checked(table: dict[str, Any]) -> dict[str, Any]:
 def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Read vertices and triangles of a closed mesh from a Wavefront OBJ file.
 
-    Of each face only the vertices are read; faces of more corners are cut into a fan.
+    Of each face only the vertices are read; faces with more corners are split into a fan.
 
     Raises:
-        ToolPresetError: A line makes no sense, or the mesh is not closed.
+        ToolPresetError: A line cannot be parsed, or the mesh is not closed.
         OSError: The file cannot be read.
     """
     vertices: list[list[float]] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a brush is set to at one moment, in SI units and without Blender."""
+"""The settings of a brush at one moment, in SI units and without Blender."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class ToolMesh:
 
 @dataclass(frozen=True, eq=False)
 class BrushSettings:
-    """What a brush is set to."""
+    """The settings of a brush."""
 
     tool: Tool = BY_IDENTIFIER["FINGER"]
-    """What the mouse holds."""
+    """The tool in the mouse."""
     radius: float = 0.012
     """Of the brush [m]."""
     strength: float = 0.5
@@ -43,19 +43,19 @@ class BrushSettings:
     color: tuple[float, float, float, float] = (0.72, 0.36, 0.22, 1.0)
     """Of paint and new clay, linear RGBA."""
     spacing: float = 0.005
-    """Distance of neighbouring particles [m]."""
+    """Distance between neighboring particles [m]."""
     scale: float = 1.0
     """Metres in a Blender unit."""
     stamp: ToolPreset | None = None
-    """What the user stamps with; None for the stamp that comes along."""
+    """The user's own stamp; None for the default one."""
     stamp_key: str = ""
     """Tells stamps apart."""
 
     @property
     def speed(self) -> float:
-        """How fast a tool moves at most [m/s].
+        """Highest speed of a tool [m/s].
 
-        As fast as a hand works, but not more than two spacings in 1/60 s: each substep of the
-        solver takes a collider a quarter of a spacing along its normals.
+        It is that of a working hand, but at most two spacings in 1/60 s: in each substep, the
+        solver moves a collider a quarter of a spacing along its normals.
         """
         return self.tool.speed * min(0.6, 120.0 * self.spacing)

@@ -9,9 +9,9 @@ from typing import Literal
 from .edits import EditKind
 
 Path = Literal["surface", "level", "anchored", "view", "pinch", "edit"]
-"""How a tool follows the cursor: over the surface as it was when the stroke began; over that
-surface low-passed; not at all, where it was set down; through the plane of the view; as two fingers
-that close and then hold; or without touching, by edits."""
+"""How a tool follows the cursor: ``surface``: over the surface as it was when the stroke began;
+``level``: over that surface, smoothed; ``anchored``: not at all; ``view``: in the plane of the
+view; ``pinch``: as two fingers that close and then hold; ``edit``: without touching the clay."""
 
 
 @dataclass(frozen=True)
@@ -19,15 +19,15 @@ class Tool:
     """A tool, and how it follows the cursor."""
 
     identifier: str
-    """Of the enumeration that a .blend keeps."""
+    """Name in the enumeration of the tool property."""
     number: int
-    """What a .blend keeps; never given to another tool."""
+    """Number that a .blend stores; never reused for another tool."""
     label: str
-    """Its name for people."""
+    """Name in the interface."""
     icon: str
-    """Of Blender's."""
+    """Name of one of Blender's icons."""
     description: str
-    """A tooltip."""
+    """Tooltip."""
     path: Path
     """How it follows the cursor."""
     preset: str | None = None
@@ -35,17 +35,17 @@ class Tool:
     depth: float = 1.0
     """How deep it goes at full strength and pressure [brush radii]."""
     size: float = 1.0
-    """Of its mesh, over how it comes along."""
+    """Scale of its mesh."""
     friction: float | None = None
-    """Coulomb friction coefficient; its preset's where not given."""
+    """Coulomb friction coefficient; the preset's if not given."""
     speed: float = 1.0
-    """How fast it moves, for how fast a hand works; clay is tough where it is cut fast."""
+    """Speed relative to a working hand; clay is tough when it is cut fast."""
     held: bool = False
-    """Whether a plate holds against it on the far side of the clay, which it would push away."""
+    """Whether a plate on the far side keeps the clay from being pushed away."""
     rolls: bool = False
     """Whether it rolls along the stroke instead of sliding."""
     edit: EditKind | None = None
-    """What it does to the clay without touching it."""
+    """The change it makes to the clay without touching it, if any."""
 
 
 TOOLS = (
@@ -112,7 +112,7 @@ TOOLS = (
         "palm",
         depth=0.1,
         size=0.5,
-        # As a wet hand: what sticks, drags.
+        # Like a wet hand: one that sticks would drag the clay along.
         friction=0.05,
     ),
     Tool(
@@ -127,9 +127,9 @@ TOOLS = (
         size=0.6,
         friction=0.8,
     ),
-    Tool("ADD", 12, "Add Clay", "ADD", "Put more clay on; Ctrl takes away", "edit", edit="add"),
-    Tool("REMOVE", 13, "Remove Clay", "REMOVE", "Take clay away; Ctrl adds", "edit", edit="remove"),
-    Tool("PAINT", 14, "Paint", "BRUSH_DATA", "Colour the clay", "edit", edit="paint"),
+    Tool("ADD", 12, "Add Clay", "ADD", "Add clay; Ctrl removes it", "edit", edit="add"),
+    Tool("REMOVE", 13, "Remove Clay", "REMOVE", "Remove clay; Ctrl adds it", "edit", edit="remove"),
+    Tool("PAINT", 14, "Paint", "BRUSH_DATA", "Color the clay", "edit", edit="paint"),
 )
 """All tools, in the order of menus."""
 
@@ -137,5 +137,5 @@ BY_IDENTIFIER = {tool.identifier: tool for tool in TOOLS}
 
 
 def tool_items() -> list[tuple[str, str, str, str, int]]:
-    """The tools as items of one of Blender's enumerations."""
+    """The tools as items of an enumeration property."""
     return [(t.identifier, t.label, t.description, t.icon, t.number) for t in TOOLS]

@@ -9,8 +9,10 @@ Only ``armature``, ``keyframes``, ``live``, ``operators``, ``panel`` and ``prope
 Blender; the senders run without it.
 """
 
+from ....solver.core.errors import TactileClayError
+
 __all__ = ["TrackingError"]
 
 
-class TrackingError(Exception):
+class TrackingError(TactileClayError):
     """Tracking cannot go on; the message says why and what to do."""

@@ -23,6 +23,8 @@ from tactile_clay.clay_addon.bake.bake import (
     bake_steps,
     free,
 )
+from tactile_clay.clay_addon.base import activity, modal
+from tactile_clay.clay_addon.base.activity import ActivityKind, clay_activity
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheError, Frame
 from tactile_clay.clay_addon.model.collider import make_collider
 
@@ -478,7 +480,7 @@ def test_operators_bake_resume_and_free(studio: Any, tmp_path: Path) -> None:
     assert bpy.ops.clay.free() == {"FINISHED"}
     np.testing.assert_array_equal(studio.points(clay), rest)
     assert not (tmp_path / "clay_cache").exists()
-    assert bake_operators.running is None
+    assert clay_activity.kind is None
 
 
 class Window:
@@ -495,7 +497,7 @@ class Window:
             workspace=MagicMock(),
         )
         app = SimpleNamespace(background=False)
-        monkeypatch.setattr(bake_operators, "bpy", SimpleNamespace(app=app))
+        monkeypatch.setattr(modal, "bpy", SimpleNamespace(app=app))
         operator = type("Operator", (bake_operators._BakeOperator,), {})
         self.operator = operator()
         self.operator.report = lambda kind, text: self.told.append(text)
@@ -521,7 +523,7 @@ def test_escape_on_a_full_disk_ends_the_bake(
     assert window.press("ESC") == {"CANCELLED"}
     assert len(window.told) == 1
     assert "The disk is full" in window.told[0]
-    assert bake_operators.running is None
+    assert clay_activity.kind is None
     assert studio.scene.frame_current == 1
 
 
@@ -534,7 +536,7 @@ def test_second_bake_in_the_interface_is_refused(
     assert window.operator.invoke(window.context, None) == {"RUNNING_MODAL"}
     other = Window(monkeypatch)
     assert other.operator.invoke(other.context, None) == {"CANCELLED"}
-    assert other.told == ["A bake is running already. Press Esc to stop it."]
+    assert other.told == ["A bake is running. Press Esc to stop it first."]
     assert window.press("TIMER") == {"RUNNING_MODAL"}
     assert window.press("ESC") == {"CANCELLED"}
     assert window.told == ["Stopped. The frames so far are kept; Resume goes on."]
@@ -562,29 +564,10 @@ def test_scene_that_changes_under_a_bake_ends_it(studio: Any, tmp_path: Path, ho
         assert bake(bpy.context, resume=True).kept == 2
 
 
-def test_add_on_disabled_during_a_bake_bakes_again(
-    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_add_on_disabled_during_a_bake_bakes_again(studio: Any, tmp_path: Path) -> None:
     """Forget the bake that Blender ended with the add-on."""
     studio.falling_block(tmp_path, end=2)
-    progress = BakeProgress(1, 1, 2, None)
-    monkeypatch.setattr(bake_operators, "running", progress)
-    bake_operators.unregister()
-    bake_operators.register()
+    clay_activity.begin(ActivityKind.BAKE)
+    activity.unregister()
+    activity.register()
     assert bpy.ops.clay.bake() == {"FINISHED"}
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"), [(None, "…"), (0.4, "0 s"), (75, "1 min 15 s"), (7300, "2 h 01 min")]
-)
-def test_durations_are_said_as_people_do(seconds: float | None, text: str) -> None:
-    """Write a duration in the units of its size."""
-    assert bake_operators.duration_text(seconds) == text
-
-
-@pytest.mark.parametrize(
-    ("size", "text"), [(0, "0 bytes"), (999, "999 bytes"), (12_345, "12.3 kB"), (5e12, "5e+03 GB")]
-)
-def test_sizes_are_said_as_people_do(size: int, text: str) -> None:
-    """Write a size in the units of its magnitude."""
-    assert bake_operators.size_text(size) == text

@@ -14,8 +14,8 @@ import pytest
 
 from tactile_clay.clay_addon.clay import look
 from tactile_clay.clay_addon.clay.look_material import MATERIAL_NAME, clay_material
-from tactile_clay.clay_addon.clay.make_clay import make_point_cloud
 from tactile_clay.clay_addon.core.surface.exact import check_closed_manifold, reconstruct
+from tactile_clay.clay_addon.model.point_cloud import make_point_cloud
 
 RED, BLUE = (0.7, 0.02, 0.02, 1.0), (0.02, 0.05, 0.7, 1.0)
 

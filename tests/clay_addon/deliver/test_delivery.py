@@ -16,6 +16,9 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.bake.bake import bake
+from tactile_clay.clay_addon.base import modal
+from tactile_clay.clay_addon.base.activity import ActivityKind, clay_activity
+from tactile_clay.clay_addon.base.modal import SteppedOperator
 from tactile_clay.clay_addon.core.storage.cache import Cache, Frame
 from tactile_clay.clay_addon.core.surface.exact import reconstruct
 from tactile_clay.clay_addon.deliver import operators as delivery_operators
@@ -23,7 +26,7 @@ from tactile_clay.clay_addon.deliver.delivery import DeliveryError, deliver
 from tactile_clay.clay_addon.deliver.files import FrameWriter
 from tactile_clay.clay_addon.deliver.object import delivered_object, remove_delivery
 from tactile_clay.clay_addon.model.clay_points import ABSENT, SCULPTED_MARK
-from tactile_clay.clay_addon.sculpt.session_checks import SculptError, check_free
+from tactile_clay.clay_addon.sculpt.live.checks import SculptError, check_free
 
 SPEED = 1.2
 """Of the moving clay [m/s]: it goes on by more than its own size from frame to frame."""
@@ -334,6 +337,15 @@ def test_particles_that_are_absent_are_left_out(studio: Any, tmp_path: Path) -> 
     assert len(mesh.vertices) == expected(np.unique(positions, axis=0))["vertices"]
 
 
+class OperatorParts(SteppedOperator[Any, Any]):
+    """What the operator has beside Blender's own class, which only Blender can make."""
+
+    stopped_text = delivery_operators.CLAY_OT_deliver.stopped_text
+    begin = delivery_operators.CLAY_OT_deliver.begin
+    status = delivery_operators.CLAY_OT_deliver.status
+    report_result = delivery_operators.CLAY_OT_deliver.report_result
+
+
 def test_escape_in_a_window_changes_nothing(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -341,13 +353,13 @@ def test_escape_in_a_window_changes_nothing(
     moving_bake(studio, tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
     told: list[str] = []
-    operator = type("Operator", (delivery_operators._DeliverOperator,), {})()
+    operator = type("Operator", (OperatorParts,), {})()
     operator.report = lambda kind, text: told.append(text)
     context: Any = SimpleNamespace(
         scene=studio.scene, window=object(), window_manager=MagicMock(), workspace=MagicMock()
     )
     app = SimpleNamespace(background=False)
-    monkeypatch.setattr(delivery_operators, "bpy", SimpleNamespace(app=app))
+    monkeypatch.setattr(modal, "bpy", SimpleNamespace(app=app))
 
     def press(kind: str) -> Any:
         return operator.modal(context, SimpleNamespace(type=kind, value="PRESS"))
@@ -355,12 +367,13 @@ def test_escape_in_a_window_changes_nothing(
     assert operator.invoke(context, None) == {"RUNNING_MODAL"}
     assert press("TIMER") == {"RUNNING_MODAL"}
     assert press("MOUSEMOVE") == {"PASS_THROUGH"}
-    assert delivery_operators.running is not None
-    assert delivery_operators.running.done == 2
+    assert clay_activity.kind is ActivityKind.DELIVERY
+    assert clay_activity.progress is not None
+    assert clay_activity.progress.done == 2
     assert len(bpy.data.scenes) == 1
     assert press("ESC") == {"CANCELLED"}
     assert told == ["Stopped. Nothing was changed."]
-    assert delivery_operators.running is None
+    assert clay_activity.kind is None
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert operator.invoke(context, None) == {"RUNNING_MODAL"}
     assert [press("TIMER") for _ in range(4)][-1] == {"FINISHED"}

@@ -20,7 +20,7 @@ from tactile_clay.clay_addon.model.material_properties import (
     read_material,
     write_material,
 )
-from tactile_clay.clay_addon.sculpt.structure import structure
+from tactile_clay.clay_addon.sculpt.live.structure import structure
 from tactile_clay.solver import Material
 from tactile_clay.solver.scene.material import MATERIAL_FIELDS, MaterialField
 

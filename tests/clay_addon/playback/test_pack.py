@@ -15,16 +15,10 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.clay import look
-from tactile_clay.clay_addon.clay.make_clay import make_point_cloud
 from tactile_clay.clay_addon.deliver.export import export_clay
-from tactile_clay.clay_addon.playback.pack import (
-    MODIFIER_NAME,
-    PackError,
-    is_packed,
-    pack,
-    packed_positions,
-    unpack,
-)
+from tactile_clay.clay_addon.model.point_cloud import make_point_cloud
+from tactile_clay.clay_addon.playback.pack import PackError, pack, unpack
+from tactile_clay.clay_addon.playback.packed import MODIFIER_NAME, is_packed, packed_positions
 
 COUNT = 50
 

@@ -18,7 +18,8 @@ from tactile_clay.clay_addon.clay import look
 from tactile_clay.clay_addon.clay.make_clay import make_clay
 from tactile_clay.clay_addon.deliver.delivery import deliver
 from tactile_clay.clay_addon.deliver.export import export_clay
-from tactile_clay.clay_addon.playback.pack import is_packed, pack_bake
+from tactile_clay.clay_addon.playback.pack import pack_bake
+from tactile_clay.clay_addon.playback.packed import is_packed
 from tactile_clay.clay_addon.playback.poses import (
     PoseError,
     key_pose,
@@ -26,7 +27,7 @@ from tactile_clay.clay_addon.playback.poses import (
     pose_frames,
     pose_modifier,
 )
-from tactile_clay.clay_addon.sculpt.live_surface import LiveSurface
+from tactile_clay.clay_addon.sculpt.live.surface import LiveSurface
 
 
 def shown(clay: Any, frame: int) -> np.ndarray:

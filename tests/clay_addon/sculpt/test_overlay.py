@@ -7,8 +7,7 @@ import pytest
 from tactile_clay.clay_addon.core.tools.meshes import tool_parts
 from tactile_clay.clay_addon.core.tools.settings import BrushSettings
 from tactile_clay.clay_addon.core.tools.tools import BY_IDENTIFIER
-from tactile_clay.clay_addon.sculpt import overlay
-from tactile_clay.clay_addon.sculpt.overlay import ring_points, shaded_corners
+from tactile_clay.clay_addon.sculpt.overlay import BrushOverlay, ring_points, shaded_corners
 from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Mouse
 
 
@@ -49,8 +48,9 @@ def test_what_is_drawn_is_what_the_clay_feels(mouse: Mouse) -> None:
 
 def test_nothing_is_drawn_in_the_background(mouse: Mouse) -> None:
     """Register no draw handler without a window, and forget the brush at the end."""
+    overlay = BrushOverlay()
     overlay.show(mouse.brush)
-    assert overlay._handle is None and overlay._brush is mouse.brush
+    assert overlay._handle is None and overlay.brush is mouse.brush
     overlay.hide()
     overlay.hide()
-    assert overlay._brush is None
+    assert overlay.brush is None

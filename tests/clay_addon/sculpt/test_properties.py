@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.core.tools.tools import TOOLS
-from tactile_clay.clay_addon.sculpt import header, operators, panel, properties, session
+from tactile_clay.clay_addon.sculpt import header, operators, panel, properties
+from tactile_clay.clay_addon.sculpt.live.current import current
 from tactile_clay.clay_addon.sculpt.properties import SceneSource, stamp_fault
 
 
@@ -84,7 +85,7 @@ def test_undo_leaves_the_brush_in_the_hand(studio: Any, monkeypatch: pytest.Monk
     """Keep the brush over Undo while a session runs, and only then."""
     brush = studio.scene.tactile_clay_sculpt
     for running, expected in ((object(), "WIRE"), (None, "PALM")):
-        monkeypatch.setattr(session, "current", running)
+        monkeypatch.setattr(current, "session", running)
         brush.tool = "WIRE"
         properties._before_undo()
         brush.tool = "PALM"
@@ -140,7 +141,7 @@ def test_the_panel_offers_to_start_or_to_finish(
     """Show the button that fits, and how fast time goes by."""
     studio.clay()
     for running, button in ((None, "clay.sculpt"), (running_at(0.5), "clay.sculpt_finish")):
-        monkeypatch.setattr(session, "current", running)
+        monkeypatch.setattr(current, "session", running)
         drawn: list[str] = []
         drawing: Any = SimpleNamespace(layout=Layout(drawn))
         panel.CLAY_PT_sculpt.draw(drawing, bpy.context)

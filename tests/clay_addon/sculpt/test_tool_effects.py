@@ -33,7 +33,7 @@ class Bench:
     def ticks(self, count: int) -> None:
         """Let the session's ticks pass."""
         for _ in range(count):
-            poses = self.mouse.brush.poses(TICK)
+            poses = self.mouse.brush.poses(TICK, self.mouse.clay)
             for collider, (pose, felt) in zip(self.colliders, poses, strict=True):
                 collider.set_pose(pose)
                 collider.set_enabled(felt)

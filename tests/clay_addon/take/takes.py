@@ -18,10 +18,10 @@ from tactile_clay.clay_addon.clay.make_clay import make_clay
 from tactile_clay.clay_addon.core.tools.edits import Edit
 from tactile_clay.clay_addon.model.clay_points import keep_sculpted, write_points
 from tactile_clay.clay_addon.model.collider import make_collider
-from tactile_clay.clay_addon.sculpt.clay_edits import edit_clay
+from tactile_clay.clay_addon.sculpt.live.edits import edit_clay
 from tactile_clay.clay_addon.simulate.simulation import Simulation
+from tactile_clay.clay_addon.take.recorder import TakeRecorder
 from tactile_clay.clay_addon.take.store import Stored
-from tactile_clay.clay_addon.take.take import TakeRecorder
 from tactile_clay.tests.experiments.shapes import ball
 
 STEP = 1.0 / 60.0

@@ -8,16 +8,16 @@ import bpy
 import numpy as np
 
 from tactile_clay.clay_addon.bake.bake import bake
-from tactile_clay.clay_addon.bake.checks import resolve_directory
 from tactile_clay.clay_addon.core.storage.cache import Cache
 from tactile_clay.clay_addon.core.tools.edits import Edit
+from tactile_clay.clay_addon.model.cache_folder import resolve_directory
 from tactile_clay.clay_addon.model.clay_scene import clay_objects
-from tactile_clay.clay_addon.sculpt import session as sessions
-from tactile_clay.clay_addon.sculpt.session import SculptSession
+from tactile_clay.clay_addon.sculpt.live.current import current
+from tactile_clay.clay_addon.sculpt.live.session import SculptSession
 from tactile_clay.clay_addon.take.film import make_film
 from tactile_clay.clay_addon.take.store import take_edits
 
-from ..sculpt.test_session import Clock, Finger, Sculpting, top_of
+from ..sculpt.live.test_session import Clock, Finger, Sculpting, top_of
 
 
 def test_recorded_session_plays_and_bakes_again(studio: Any, tmp_path: Path) -> None:
@@ -29,7 +29,7 @@ def test_recorded_session_plays_and_bakes_again(studio: Any, tmp_path: Path) -> 
     studio.save(tmp_path)
     scene.tactile_clay.record_take = True
     finger, clock = Finger(height=0.06), Clock()
-    sessions.current = running = SculptSession(bpy.context, tools=finger, clock=clock)
+    current.session = running = SculptSession(bpy.context, tools=finger, clock=clock)
     sculpting = Sculpting(running, finger, clock)
     sculpting.run(0.1)
     high = top_of(studio, clay)
@@ -47,7 +47,7 @@ def test_recorded_session_plays_and_bakes_again(studio: Any, tmp_path: Path) -> 
     sculpting.run(0.05)
     finger.edits = [Edit("add", (-0.01, -0.01, 0.045), 0.012)]
     sculpting.run(0.2)
-    sessions.stop(bpy.context)
+    current.stop(bpy.context)
     live = studio.points(clay)
     assert len(live) > 64
     last = scene.frame_end

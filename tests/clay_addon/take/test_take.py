@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,15 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.bake.checks import resolve_directory
 from tactile_clay.clay_addon.core.storage import whole_files as cache_files
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheError
 from tactile_clay.clay_addon.core.take.files import read_take
 from tactile_clay.clay_addon.core.tools.edits import Edit
 from tactile_clay.clay_addon.core.tools.settings import ToolMesh
+from tactile_clay.clay_addon.model.cache_folder import resolve_directory
 from tactile_clay.clay_addon.simulate.simulation import Simulation
+from tactile_clay.clay_addon.take.recorder import TakeError, TakeRecorder
 from tactile_clay.clay_addon.take.store import store_take, take_edits, take_start
-from tactile_clay.clay_addon.take.take import TakeError, TakeRecorder
 from tactile_clay.tests.experiments.shapes import ball
 
 from .takes import STEP, TOP, Loop, press, pressed, record_press, studio_scene
@@ -55,6 +56,21 @@ def test_take_plays_as_it_happened(studio: Any, tmp_path: Path, rate: int) -> No
     kept = take_start(clay)
     assert kept is not None
     np.testing.assert_allclose(kept[0], start, atol=1e-7)
+
+
+def test_a_take_that_cannot_begin_leaves_no_thread(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """End the writer's thread when the folder cannot be written to."""
+    studio_scene(studio, tmp_path, rate=60)
+
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tactile_clay.clay_addon.take.recorder.write_start", full)
+    with pytest.raises(TakeError, match="No space left"):
+        Loop(studio.scene)
+    assert not [each for each in threading.enumerate() if each.name == "clay-take"]
 
 
 def test_take_survives_saving_and_loading(studio: Any, tmp_path: Path) -> None:

@@ -208,7 +208,7 @@ def splat_mass(
     splat_all(particle_count, position, inverse_cell, amount, thin, blocks)
 
 
-# A binomial kernel of nine nodes, with a variance of two cells. Adding neighbours eight times over
+# A binomial kernel of nine nodes, with a variance of two cells. Adding neighbors eight times over
 # makes it along x and y, where rows are whole vectors.
 BLUR = (
     VECTORS

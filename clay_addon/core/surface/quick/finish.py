@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The finish of a net: bumps smoothed away, and the colours of the particles below it."""
+"""The finish of a net: bumps smoothed away, and the colors of the particles below it."""
 
 import warp as wp
 
@@ -153,5 +153,5 @@ def paint_vertices(
     blocks: Blocks,
     net: Net,
 ) -> None:
-    """Mix the colours of the particles around each vertex."""
+    """Mix the colors of the particles around each vertex."""
     paint_all(particle_count, position, color, inverse_cell, wp.static(LEVEL), blocks, net)

@@ -22,11 +22,11 @@ class Net:
     cut: wp.array2d[wp.uint8]
     """One bit for each cell of a block that the surface cuts, 64 rows a block."""
     painted: wp.array[int]
-    """Number of a block among those that have colours, from 1; 0 where it has none."""
+    """Number of a block among those that have colors, from 1; 0 where it has none."""
     shows: wp.array[wp.uint8]
-    """Whether a block's particles lend colour to any that has."""
+    """Whether a block's particles lend color to any that has."""
     count: wp.array[int]
-    """Of vertices, blocks with colours, edges and quads."""
+    """Of vertices, blocks with colors, edges and quads."""
     vertex: wp.array2d[int]
     """Number of the vertex in each cell that is cut."""
     cell: wp.array[int]
@@ -46,7 +46,7 @@ class Net:
     quad_edge: wp.array2d[int]
     """Edge from each corner of a quad to the next."""
     paint: wp.array2d[wp.vec4]
-    """Colours at nodes, each particle's times its share."""
+    """Colors at nodes, each particle's times its share."""
     color: wp.array[wp.vec4]
     """Of the vertices, linear RGBA."""
     scratch: wp.array2d[wp.vec4]

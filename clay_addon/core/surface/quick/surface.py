@@ -27,10 +27,10 @@ SMOOTHING = 12
 FARTHEST_SMOOTHED = 0.12
 """They move no vertex by more than this, so that a crumb does not shrink to nothing."""
 COLOR_SMOOTHING = 2
-"""Passes that soften borders between colours."""
+"""Passes that soften borders between colors."""
 STILL = 0.005
 """While no particle has moved by more than this the surface stays as it is."""
-LARGEST_BLOCK_COUNT = 1 << 16
+MAX_BLOCK_COUNT = 1 << 16
 """More blocks than this, half a gigabyte, are not made: two million particles in one piece, or six
 thousand scattered ones."""
 
@@ -73,7 +73,7 @@ class QuickSurface:
     comes closer than about one spacing melts together. `surface.reconstruct` is exact.
 
     Args:
-        spacing: Distance between neighbouring particles, in the unit of the positions.
+        spacing: Distance between neighboring particles, in the unit of the positions.
 
     Raises:
         SurfaceError: The spacing is not a positive length.
@@ -169,7 +169,7 @@ class QuickSurface:
         )
 
     def _make_blocks(self, room: int) -> None:
-        if room > LARGEST_BLOCK_COUNT:
+        if room > MAX_BLOCK_COUNT:
             raise SurfaceError(
                 "The particles are scattered too widely for a live surface, or the spacing"
                 f" ({self.spacing:g}) is in another unit than their positions."

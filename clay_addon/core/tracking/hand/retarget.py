@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .....solver.core.errors import TactileClayError
 from .....solver.geometry.rotations import fitted_rotation, matrices_from_quaternions, shortest_turn
 from ..protocol.joints import (
     FINGERS,
@@ -36,7 +37,7 @@ _LEAST_AGREEMENT, _LEAST_UPRIGHT = 0.8, 0.5
 with the back of the hand."""
 
 
-class RetargetError(ValueError):
+class RetargetError(TactileClayError, ValueError):
     """A rig cannot take a tracked hand; the message says why and what to do."""
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .....solver.core.errors import TactileClayError
 from .....solver.geometry.rotations import (
     cross,
     fitted_rotation,
@@ -36,7 +37,7 @@ _THUMB_COUPLING, _FULL_OPPOSITION = 1.8, np.radians(60.0)
 """A thumb that swings across the palm turns about itself: the joint at its base is a saddle."""
 
 
-class SkeletonError(ValueError):
+class SkeletonError(TactileClayError, ValueError):
     """Positions make no hand; the message says why."""
 
 

@@ -29,6 +29,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .....solver.core.errors import TactileClayError
 from .joints import ALL_JOINTS, JOINT_COUNT, SIDES, WRIST
 
 MAGIC = b"TCHF"
@@ -45,7 +46,7 @@ _THICKEST = 0.2
 _LATEST = 1 << 62
 
 
-class PacketError(ValueError):
+class PacketError(TactileClayError, ValueError):
     """A datagram is not a hand; the message says why."""
 
 

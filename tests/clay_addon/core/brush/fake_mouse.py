@@ -136,7 +136,7 @@ class Mouse:
     def send(self, kind: str, value: str = "PRESS", **more: Any) -> bool:
         """Send an event with the mouse where it was last."""
         event = Event(kind, value, *self.at, **more)
-        return self.brush.handle(self.context, event, self.clay)
+        return self.brush.handle(self.context, event)
 
     at: tuple[int, int] = (0, 0)
 
@@ -152,4 +152,4 @@ class Mouse:
 
     def ticks(self, count: int) -> list[Any]:
         """Ask for the poses so many times; all of them."""
-        return [self.brush.poses(TICK) for _ in range(count)]
+        return [self.brush.poses(TICK, self.clay) for _ in range(count)]

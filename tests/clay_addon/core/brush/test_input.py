@@ -186,3 +186,18 @@ def test_positions_are_in_blender_units(mouse: Mouse) -> None:
     small.at = mouse.at
     assert small.send("LEFTMOUSE")
     assert np.allclose(small.ticks(30)[-1][0][0], metres, atol=1e-4)
+
+
+def test_events_wait_for_the_tick(mouse: Mouse) -> None:
+    """Queue a press and begin its stroke with the clay of the next tick, once."""
+    mouse.press()
+    assert mouse.brush.stroking
+    assert not any(felt for _, _, felt in mouse.brush.drawn())
+    mouse.clay = mouse.clay + np.array((0.0, 0.0, 0.01), np.float32)
+    mouse.ticks(1)
+    assert mouse.brush.cursor is not None
+    # The surface of the clay that was handed over, not of the clay before.
+    assert mouse.brush.cursor.point[2] == pytest.approx(0.06, abs=0.002)
+    mouse.send("LEFTMOUSE", "RELEASE")
+    mouse.ticks(60)
+    assert not mouse.brush.stroking

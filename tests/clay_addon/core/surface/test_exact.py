@@ -249,7 +249,7 @@ def test_the_same_particles_give_the_same_mesh() -> None:
         ([[0, 0, 0]], 0.0, None, "spacing"),
         ([[0, 0, 0]], float("nan"), None, "spacing"),
         ([[0, 0, 0]], 1.0, [[1, 0, 0]], r"shape \(1, 4\)"),
-        ([[0, 0, 0]], 1.0, [[1, 0, np.nan, 1]], "colour"),
+        ([[0, 0, 0]], 1.0, [[1, 0, np.nan, 1]], "color"),
         ([[0, 0, 0], [1e6, 0, 0]], 1.0, None, "spread over 1e\\+06 spacings"),
     ],
 )

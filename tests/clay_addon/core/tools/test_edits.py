@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tactile_clay.clay_addon.core.tools.edits import LEAST_DISTANCE, Edit, apply_edit, fall_off
+from tactile_clay.clay_addon.core.tools.edits import MIN_DISTANCE, Edit, apply_edit, fall_off
 from tactile_clay.tests.clay_addon.core.brush.fake_mouse import SPACING, block
 
 EMPTY = np.zeros((0, 3), np.float32), np.zeros((0, 4), np.float32)
@@ -43,8 +43,8 @@ def test_added_clay_keeps_away_from_what_is_there() -> None:
     added = result.positions[512:]
     assert len(added) > 20
     away = np.linalg.norm(added[:, None].astype(float) - points[None], axis=2).min(1)
-    assert away.min() >= LEAST_DISTANCE * SPACING - 1e-8
-    assert least_distance(result.positions) >= min(before, LEAST_DISTANCE * SPACING) - 1e-8
+    assert away.min() >= MIN_DISTANCE * SPACING - 1e-8
+    assert least_distance(result.positions) >= min(before, MIN_DISTANCE * SPACING) - 1e-8
 
 
 def test_dabs_that_overlap_fit_together() -> None:

@@ -270,7 +270,7 @@ def test_what_cannot_be_a_stamp_is_said(studio: Any) -> None:
     with pytest.raises(ToolPresetError, match="'Plane' is open: it has 1 hole"):
         stamp_from_object(bpy.context.object, depsgraph)
     bpy.ops.object.empty_add()
-    with pytest.raises(ToolPresetError, match="'Empty' is no mesh"):
+    with pytest.raises(ToolPresetError, match="'Empty' is not a mesh"):
         stamp_from_object(bpy.context.object, bpy.context.evaluated_depsgraph_get())
 
 

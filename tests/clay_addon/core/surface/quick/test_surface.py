@@ -196,7 +196,7 @@ def test_bad_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         quick.reconstruct(np.zeros((4, 2)), np.zeros((4, 4)))
     with pytest.raises(SurfaceError, match=r"\(4, 4\), not \(4, 3\)"):
         quick.reconstruct(np.zeros((4, 3)), np.zeros((4, 3)))
-    monkeypatch.setattr(quick_surface, "LARGEST_BLOCK_COUNT", 512)
+    monkeypatch.setattr(quick_surface, "MAX_BLOCK_COUNT", 512)
     with pytest.raises(SurfaceError, match="scattered too widely"):
         quick.reconstruct(lattice(10, 10, 10) * 100, np.ones((1000, 4)))
     check(quick.reconstruct(lattice(5, 5, 5), np.ones((125, 4))))

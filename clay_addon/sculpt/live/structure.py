@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a live session's solver was built for, so that it is built anew when that has changed."""
+"""What the solver of a live session depends on: when it changes, the solver is built again."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from collections.abc import Hashable
 
 import bpy
 
-from ..model.clay_scene import solver_settings
-from ..model.material_properties import property_names
+from ...base.units import meters_per_unit
+from ...model.clay_scene import solver_settings
+from ...model.material_properties import property_names
 
 _CLAY_VALUES = (*property_names(), "spacing")
 
 
 def structure(scene: bpy.types.Scene) -> Hashable:
-    """Tell scenes apart that one solver cannot serve, at a glance and often.
+    """A key that differs between scenes that need different solvers; cheap enough for each tick.
 
-    Objects that were made, deleted, renamed, hidden or brought back by Undo are seen, clay that was
-    moved or given points, what it is made of, and what decides how all is simulated.
+    It covers objects that were made, deleted, renamed, hidden or restored by Undo; clay that was
+    moved or has other points; materials; and the settings of the solver.
     """
     parts: list[Hashable] = []
     for item in scene.objects:
@@ -35,6 +36,6 @@ def structure(scene: bpy.types.Scene) -> Hashable:
             parts += [properties.collider_adhesion, len(item.data.vertices)]
         elif role == "HAND":
             parts += [properties.collider_friction, len(item.data.vertices)]
-    parts += [scene.unit_settings.scale_length, scene.use_gravity, tuple(scene.gravity)]
+    parts += [meters_per_unit(scene), scene.use_gravity, tuple(scene.gravity)]
     parts.append(solver_settings(scene))
     return tuple(parts)

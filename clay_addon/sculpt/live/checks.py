@@ -5,28 +5,30 @@ from __future__ import annotations
 
 import bpy
 
-from ..bake import operators as bake_operators
-from ..base.preferences import missing_parts
-from ..deliver import operators as delivery_operators
-from ..deliver.object import delivered_object
-from ..model.clay_scene import clay_objects
-from ..playback.pack import is_packed
+from ....solver.core.errors import TactileClayError
+from ...base.activity import BusyError, clay_activity
+from ...base.preferences import missing_parts
+from ...deliver.object import delivered_object
+from ...model.clay_scene import clay_objects
+from ...playback.packed import is_packed
 
 
-class SculptError(Exception):
-    """A session cannot start or go on; the message says why and what to do."""
+class SculptError(TactileClayError):
+    """A session cannot start or continue; the message says why and what to do."""
 
 
 def check_free(scene: bpy.types.Scene) -> None:
-    """Refuse where something else has the clay.
+    """Refuse if something else uses the clay.
 
     Raises:
-        SculptError: It is baked, rendered, packed or linked; the message says what to do.
+        SculptError: The clay is being baked or rendered, or is packed or linked.
     """
     for sentence in missing_parts():
         raise SculptError(sentence)
-    if bake_operators.running is not None or delivery_operators.running is not None:
-        raise SculptError("A bake is running. Press Esc to stop it first.")
+    try:
+        clay_activity.check_free()
+    except BusyError as error:
+        raise SculptError(str(error)) from error
     if delivered_object(scene) is not None:
         raise SculptError(
             "What was delivered is shown in place of the clay. Press Show Clay Again first (Clay > "

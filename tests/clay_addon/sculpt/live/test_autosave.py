@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.model.clay_points import is_sculpted, write_points
-from tactile_clay.clay_addon.sculpt import autosave
-from tactile_clay.clay_addon.sculpt.autosave import Autosave, autosave_path, take_up
+from tactile_clay.clay_addon.sculpt.live.autosave import Autosave, autosave_path, recover, recovery
 
 
 def pressed(studio: Any, clay: Any) -> Any:
@@ -22,7 +21,7 @@ def pressed(studio: Any, clay: Any) -> Any:
 
 
 def test_clay_is_taken_up_when_its_file_is_opened(studio: Any, tmp_path: Path) -> None:
-    """Find the clay as it was saved by itself, and say so."""
+    """Recover the autosaved clay, and say so."""
     clay = studio.clay()
     path = studio.save(tmp_path)
     saved = Autosave()
@@ -36,7 +35,7 @@ def test_clay_is_taken_up_when_its_file_is_opened(studio: Any, tmp_path: Path) -
     found = studio.points(clay) - np.array(clay.matrix_world.translation, np.float32)
     np.testing.assert_allclose(found, local, atol=1e-6)
     assert is_sculpted(clay)
-    assert "Clay is as it was saved by itself" in autosave.message
+    assert "Clay was recovered from its autosave" in recovery.message
 
 
 def test_file_that_was_saved_later_is_left_alone(studio: Any, tmp_path: Path) -> None:
@@ -50,7 +49,7 @@ def test_file_that_was_saved_later_is_left_alone(studio: Any, tmp_path: Path) ->
     write_points(clay, np.zeros((64, 3), np.float32) + np.arange(64)[:, None] * 0.01)
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.open_mainfile(filepath=str(path))
-    assert not autosave.message
+    assert not recovery.message
     beside = autosave_path(str(path))
     assert beside is not None and not beside.exists()
 
@@ -73,9 +72,9 @@ def test_damaged_file_is_told_of_and_changes_nothing(
     beside.write_bytes({"cut": content[:300], "empty": b"", "text": b"no clay"}[damage])
     bpy.ops.wm.open_mainfile(filepath=str(path))
     np.testing.assert_array_equal(studio.points(bpy.data.objects["Clay"]), before)
-    assert "could not be taken up" in autosave.message
+    assert "could not be recovered" in recovery.message
     with pytest.raises(ValueError, match="cannot be read"):
-        take_up(bpy.context, beside)
+        recover(bpy.context, beside)
 
 
 def test_clay_with_other_many_points_is_taken_up(studio: Any, tmp_path: Path) -> None:

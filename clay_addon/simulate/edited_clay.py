@@ -17,7 +17,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.take.data import Edit as TakeEdit
+from ..core.take.data import TakeEdit
 from ..core.take.frames import nearest
 from ..core.tools.edits import Edit, EditKind, apply_edit
 from ..model.clay_points import ABSENT
@@ -130,23 +130,27 @@ class EditedClay:
         spread[self.present] = values
         return spread[self._place]
 
-    def due(self, after: float, until: float) -> list[Edit]:
-        """Edits between two moments [frames], the second included."""
+    def is_due(self, after: float, until: float) -> bool:
+        """Whether there are edits between two moments [frames], the second included."""
+        return bool(self._due(after, until))
+
+    def _due(self, after: float, until: float) -> list[Edit]:
         return [e for at, e in self._edits if after + _AT_ONCE < at <= until + _AT_ONCE]
 
-    def apply(self, edits: Sequence[Edit], positions: NDArray[np.float32]) -> bool:
-        """Carry edits out.
+    def apply(self, after: float, until: float, positions: NDArray[np.float32]) -> bool:
+        """Carry out the edits between two moments [frames].
 
         Args:
-            edits: What to do.
-            positions: Of the present particles [Blender units], shape [P, 3].
+            after: The first moment, itself excluded.
+            until: The second moment, included.
+            positions: Positions of the present particles [Blender units], shape [P, 3].
 
         Returns:
-            Whether particles came or went, so that the solver is to be built anew.
+            Whether particles came or went, so that the solver has to be built anew.
         """
         self._positions[self.present] = positions
         changed = False
-        for edit in edits:
+        for edit in self._due(after, until):
             for which in self._objects_of(edit):
                 changed |= self._apply(edit, np.flatnonzero(self._object == which))
         if changed:

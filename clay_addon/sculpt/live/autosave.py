@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The clay of a live session on disk, so that a crash takes little of it.
+"""Autosave of a live session: a crash costs a few seconds of work.
 
-Blender does not save by itself while an operator like Sculpt runs, so the session does: after each
-stroke, and every few seconds in which the clay moves. The file stands beside the .blend, and goes
-when the session ends or the .blend is saved. Where one is found when a .blend is opened, the
-session was cut short, and its clay is taken up.
+Blender does not autosave while a modal operator like Sculpt runs, so the session does: after each
+stroke, and every few seconds while the clay moves. The file lies beside the .blend and is removed
+when the session ends or the .blend is saved. If one is found when a .blend is opened, the session
+was cut short, and its clay is recovered.
 """
 
 from __future__ import annotations
@@ -20,27 +20,35 @@ import numpy as np
 from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..model.clay_points import keep_sculpted, replace_points
-from ..model.clay_scene import clay_colors, clay_objects, read_points
+from ...base.app_handlers import add_handlers, remove_handlers
+from ...model.clay_points import keep_sculpted, replace_points
+from ...model.clay_scene import clay_colors, clay_objects, read_points
 
 _SUFFIX = ".clay-autosave.npz"
-_EVERY = 5.0
-"""While the clay moves, it is saved this often [s]."""
+_INTERVAL = 5.0
+"""Time between saves while the clay moves [s]."""
 _VERSION = 1
-_NEVER_SAVED = "Save the .blend once: until then a crash would take the clay with it."
+_NEVER_SAVED = "Save the .blend once: until then, a crash loses the clay."
 
-message = ""
-"""What was taken up when the file was opened, as a sentence; empty where nothing was."""
+
+class Recovery:
+    """What was recovered when the open file was opened."""
+
+    def __init__(self) -> None:
+        self.message = ""
+        """What was recovered, or why it could not be, as a sentence; empty if there was nothing."""
+
+
+recovery = Recovery()
 
 
 def autosave_path(blend: str) -> Path | None:
-    """Where the clay of a .blend is saved to by itself; None for one that was never saved."""
+    """Where the clay of a .blend is autosaved; None if the .blend was never saved."""
     return Path(f"{blend}{_SUFFIX}") if blend else None
 
 
 class Autosave:
-    """Saves a session's clay by itself, on a thread of its own."""
+    """Saves a session's clay on its own thread."""
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="clay-autosave")
@@ -48,21 +56,21 @@ class Autosave:
         self._last: float | None = None
         self._paths: set[Path] = set()
         self.problem = ""
-        """Why it could not be saved last; empty where it could."""
+        """Why the last save failed; empty if it succeeded."""
 
     def now_and_then(self, scene: bpy.types.Scene, now: float) -> None:
-        """Save if that was not done for a while.
+        """Save if the last time was a while ago.
 
         Args:
             scene: The session's.
             now: Seconds of a steady clock.
         """
-        if self._last is None or now - self._last >= _EVERY:
+        if self._last is None or now - self._last >= _INTERVAL:
             self._last = now
             self.begin(scene)
 
     def begin(self, scene: bpy.types.Scene) -> None:
-        """Begin to save what is shown, unless the last time is still going on."""
+        """Begin to save the clay as shown, unless the last save is still running."""
         path = autosave_path(bpy.data.filepath)
         if path is None:
             self.problem = _NEVER_SAVED
@@ -73,20 +81,20 @@ class Autosave:
             return
         if self._writing is not None:
             error = self._writing.exception()
-            self.problem = f"The clay could not be saved by itself: {error}." if error else ""
+            self.problem = f"The clay could not be autosaved: {error}." if error else ""
         arrays = _arrays_of(scene)
         self._paths.add(path)
         self._writing = self._executor.submit(_write, path, arrays)
 
     def close(self) -> None:
-        """End it, and remove the file: what it holds is in Blender."""
+        """End the thread, and remove the file: the clay is in Blender."""
         self._executor.shutdown(wait=True)
         for path in self._paths:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 
     def forget(self) -> None:
-        """The .blend itself was saved: until clay moves again, there is nothing beyond it."""
+        """Remove the file after the .blend was saved: it holds nothing newer."""
         if self._writing is not None:
             self._writing.exception()
         for path in self._paths:
@@ -118,18 +126,18 @@ def _write(path: Path, arrays: dict[str, NDArray]) -> None:
     part.replace(path)
 
 
-def take_up(context: bpy.types.Context, path: Path) -> list[str]:
-    """Give the clay of the open file the shape that a session saved by itself.
+def recover(context: bpy.types.Context, path: Path) -> list[str]:
+    """Give the clay of the open file the shape that a session autosaved.
 
     Args:
         context: Its scenes hold the clay.
-        path: The file that the session left.
+        path: The file that the session left behind.
 
     Returns:
-        Names of the objects that took it up.
+        Names of the objects that were recovered.
 
     Raises:
-        ValueError: It is not such a file, or it is damaged; the clay stays as it was.
+        ValueError: The file is no autosave, or is damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -141,7 +149,7 @@ def take_up(context: bpy.types.Context, path: Path) -> list[str]:
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         raise ValueError(f"{path.name} cannot be read: {error}") from error
     scene = bpy.data.scenes.get(scene_name)
-    taken = []
+    recovered = []
     for number, name in enumerate(names):
         item = scene.objects.get(name) if scene else None
         local, colors = arrays.get(f"positions_{number}"), arrays.get(f"colors_{number}")
@@ -151,40 +159,39 @@ def take_up(context: bpy.types.Context, path: Path) -> list[str]:
             raise ValueError(f"{path.name} is damaged at {name!r}")
         replace_points(context, item, local, colors)
         keep_sculpted(item)
-        taken.append(name)
-    return taken
+        recovered.append(name)
+    return recovered
 
 
 @persistent
 def _on_load(*_: object) -> None:
-    """Take up what a session that was cut short has left beside the file that was opened."""
-    global message
-    message = ""
+    """Recover what a session that was cut short left beside the file that was opened."""
+    recovery.message = ""
     path = autosave_path(bpy.data.filepath)
     if path is None or not path.is_file():
         return
     with suppress(OSError):
         if path.stat().st_mtime < Path(bpy.data.filepath).stat().st_mtime:
-            # The file was saved after it.
+            # The .blend was saved later.
             path.unlink()
             return
     try:
-        taken = take_up(bpy.context, path)
+        recovered = recover(bpy.context, path)
     except ValueError as error:
-        message = f"Clay that a session saved by itself could not be taken up: {error}."
+        recovery.message = f"The autosaved clay could not be recovered: {error}."
         return
-    if taken:
-        message = (
-            f"The last session was cut short. {', '.join(taken)} is as it was saved by itself "
-            "then; save the file to keep that."
+    if recovered:
+        recovery.message = (
+            f"The last session was cut short. {', '.join(recovered)} was recovered from its "
+            "autosave; save the file to keep it."
         )
 
 
 def register() -> None:
-    """Look for what was left whenever a file is opened."""
+    """Look for an autosave whenever a file is opened."""
     add_handlers((("load_post", _on_load),))
 
 
 def unregister() -> None:
-    """Look no more."""
+    """Remove the handler."""
     remove_handlers((("load_post", _on_load),))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting and ending many sessions."""
+"""Starting and ending many current."""
 
 import gc
 import resource
@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from tactile_clay.clay_addon.sculpt import session as sessions
+from tactile_clay.clay_addon.sculpt.live.current import current
 
 
 def handler_count() -> int:
@@ -25,11 +25,11 @@ def test_three_hundred_sessions_leave_nothing_behind(studio: Any, tmp_path: Path
     studio.save(tmp_path)
 
     def cycle() -> None:
-        running = sessions.start(bpy.context)
+        running = current.start(bpy.context)
         for _ in range(3):
             running.wait()
             running.tick(bpy.context)
-        sessions.stop(bpy.context)
+        current.stop(bpy.context)
 
     def held() -> tuple[int, int, list[int]]:
         gc.collect()

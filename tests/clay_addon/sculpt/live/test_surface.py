@@ -14,7 +14,7 @@ from tactile_clay.clay_addon.clay import look
 from tactile_clay.clay_addon.clay.look_material import clay_material
 from tactile_clay.clay_addon.core.surface.exact import check_closed_manifold
 from tactile_clay.clay_addon.model.clay_scene import clay_colors
-from tactile_clay.clay_addon.sculpt.live_surface import LiveSurface, sweep
+from tactile_clay.clay_addon.sculpt.live.surface import LiveSurface, sweep
 
 
 class Live:
@@ -135,7 +135,7 @@ def test_too_slow_shows_points_until_the_clay_rests(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where surfaces do not keep pace, show points while clay moves, then its surface."""
-    monkeypatch.setattr("tactile_clay.clay_addon.sculpt.live_surface.LONGEST_SECONDS", 0.0)
+    monkeypatch.setattr("tactile_clay.clay_addon.sculpt.live.surface.MAX_SECONDS", 0.0)
     assert live.tick()
     assert not live.surface.keeps_pace
     assert not live.clay.hide_get()
@@ -178,17 +178,17 @@ def test_files_hold_no_stand_in(live: Live, tmp_path: Path) -> None:
 
 def test_a_file_that_holds_one_is_swept(live: Live, tmp_path: Path) -> None:
     """Clean a file that was saved without the handlers, as an automatic save is."""
-    from tactile_clay.clay_addon.sculpt import live_surface
+    from tactile_clay.clay_addon.sculpt.live import surface
 
     live.tick()
-    live_surface.unregister()
+    surface.unregister()
     live.surface = LiveSurface(bpy.context, [live.clay])
     live.tick()
     path = live.studio.save(tmp_path)
     live.surface.close()
     bpy.ops.wm.open_mainfile(filepath=str(path))
     assert not live.shows_itself()
-    live_surface.register()
+    surface.register()
     bpy.ops.wm.open_mainfile(filepath=str(path))
     assert live.shows_itself()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The take of a live session, where one is wanted."""
+"""The take of a live session, if one is recorded."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.storage.cache import CacheError
-from ..core.tools.edits import Edit
-from ..core.tools.settings import ToolMesh
-from ..simulate.simulation import Simulation
-from ..take.take import Mark, TakeError, TakeRecorder
+from ...core.storage.cache import CacheError
+from ...core.tools.edits import Edit
+from ...core.tools.settings import ToolMesh
+from ...simulate.simulation import Simulation
+from ...take.recorder import Mark, TakeError, TakeRecorder
 
 
 class SessionTake:
     """Records a session from the moment its solver is first built, if the scene asks for it.
 
-    A take that cannot go on ends there; the session does.
+    If the take cannot continue, it ends; the session continues.
 
     Args:
         wanted: Whether to record.
@@ -33,17 +33,17 @@ class SessionTake:
         self._ended: TakeRecorder | None = None
         self._start = Mark(0.0, 0)
         self.messages: list[str] = []
-        """What a person should know of it, in sentences."""
+        """What the user should know about the take, in sentences."""
 
     @property
     def mark(self) -> Mark | None:
-        """This moment of the take; None where none is recorded."""
+        """This moment of the take; None if none is being recorded."""
         return self._recorder.mark() if self._recorder is not None else None
 
     def begin(
         self, scene: bpy.types.Scene, simulation: Simulation, meshes: Sequence[ToolMesh]
     ) -> None:
-        """Begin to record, where that is wanted and was not begun."""
+        """Begin to record if that is wanted and has not begun."""
         if not self._wanted:
             return
         self._wanted = False
@@ -63,25 +63,25 @@ class SessionTake:
             self._recorder.look(depsgraph, poses)
 
     def step(self, duration: float, positions: NDArray[np.float32]) -> None:
-        """Note what a step came to: world positions [Blender units], shape [N, 3]."""
+        """Record the result of a step: world positions [Blender units], shape [N, 3]."""
         if self._recorder is not None:
             self._recorder.step(duration, positions)
 
     def edit(self, edits: Sequence[Edit]) -> None:
-        """Note what was done to the clay beside that."""
+        """Record clay that was added, removed or painted."""
         if self._recorder is not None:
             for edit in edits:
                 parameters = asdict(edit)
                 self._recorder.edit(parameters.pop("kind"), parameters)
 
     def rebuilt(self, simulation: Simulation, meshes: Sequence[ToolMesh]) -> None:
-        """Go on with a solver that was built anew."""
+        """Continue with a solver that was built again."""
         if self._recorder is not None:
             self._recorder.use_tools(meshes)
             self._try(partial(self._recorder.rebuilt, simulation))
 
     def rewind(self, mark: Mark | None, simulation: Simulation) -> None:
-        """Go back to a moment; to the beginning where it is not known."""
+        """Return to a moment, or to the beginning if the moment is not known."""
         if self._recorder is not None:
             self._try(partial(self._recorder.rewind, mark or self._start, simulation))
 
@@ -89,7 +89,7 @@ class SessionTake:
         """End the take, and put it on the timeline.
 
         Args:
-            scene: None where it is gone; then the take is on the disk alone.
+            scene: None if it is gone; the take is then on the disk only.
 
         Returns:
             Whether it is on the timeline.
@@ -106,6 +106,8 @@ class SessionTake:
         except (TakeError, CacheError) as error:
             self.messages.append(str(error))
             return False
+        finally:
+            recorder.end()
         self.messages += stored.warnings
         self.messages.append(f"Take on frames {stored.first} to {stored.last}")
         return True

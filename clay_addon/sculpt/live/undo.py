@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """States of the solver for Blender's undo steps.
 
-Blender keeps the points of each undo step; how they are stretched and pressed it does not know.
-The points carry a number that tells which state is theirs. Where that state is no longer there,
-the clay starts at rest, from the same points.
+Blender keeps the points of each undo step, but not how the clay is stretched and pressed. So the
+points carry the number of their solver state. If that state is no longer kept, the clay starts at
+rest from the same points.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from collections import OrderedDict
 import bpy
 from numpy.typing import NDArray
 
-from ..model.clay_scene import clay_objects
-from ..take.take import Mark
+from ...model.clay_scene import clay_objects
+from ...take.recorder import Mark
 
 _MARK = "clay_state"
-_MOST_BYTES = 256_000_000
-"""So much is kept; the oldest state goes first."""
+_MAX_BYTES = 256_000_000
+"""States are kept up to this size; the oldest is dropped first."""
 
 
 class UndoStates:
-    """What the solver's state was at each undo step of a session."""
+    """The solver's state at each undo step of a session."""
 
     def __init__(self) -> None:
         self._states: OrderedDict[int, dict[str, NDArray]] = OrderedDict()
@@ -39,8 +39,8 @@ class UndoStates:
 
         Args:
             scene: The session's.
-            state: The solver's; None where it is not to be had.
-            mark: The moment of the take that is recorded.
+            state: The solver's; None if it cannot be read now.
+            mark: The moment in the take that is being recorded.
         """
         self._last += 1
         if mark is not None:
@@ -50,7 +50,7 @@ class UndoStates:
         if state is None:
             return
         self._states[self._last] = state
-        while len(self._states) > 1 and self._bytes() > _MOST_BYTES:
+        while len(self._states) > 1 and self._bytes() > _MAX_BYTES:
             self._states.popitem(last=False)
 
     def state(self, scene: bpy.types.Scene) -> dict[str, NDArray] | None:
@@ -58,7 +58,7 @@ class UndoStates:
         return self._states.get(_number(scene))
 
     def mark(self, scene: bpy.types.Scene) -> Mark | None:
-        """The moment of the take that the clay is of as Blender holds it now, if it is known."""
+        """The moment in the take to which Blender's clay belongs now, if it is known."""
         return self._marks.get(_number(scene))
 
     def _bytes(self) -> int:
@@ -66,6 +66,12 @@ class UndoStates:
 
 
 def _number(scene: bpy.types.Scene) -> int:
-    """Number of the state of all clay; 0, which there is none of, where objects differ."""
+    """Number of the state of all clay; 0, which no state has, if the objects disagree."""
     numbers = {item.data.get(_MARK, 0) for item in clay_objects(scene)}
     return int(numbers.pop()) if len(numbers) == 1 else 0
+
+
+def push_undo(message: str) -> None:
+    """Make an undo step of Blender's data, if there is a window and so an undo stack."""
+    if not bpy.app.background and bpy.ops.ed.undo_push.poll():
+        bpy.ops.ed.undo_push(message=message)

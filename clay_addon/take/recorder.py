@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recording a live session: what hands and tools do, and the clay's frames, as it happens.
+"""Recording a live session: what hands and tools do, and the clay's frames.
 
-The take goes to a folder of its own beside the bake, while it is recorded, by a thread of its own:
-a crash costs the last two seconds. `finish` puts it on the timeline, where it plays as it happened
-and can be baked again, more finely.
+While a take is recorded, its own thread writes it to its own folder beside the bake: a crash costs
+the last two seconds. `finish` puts it on the timeline, where it plays as it happened and can be
+baked again with finer clay.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bake.checks import BakeError, owner_of, resolve_directory
+from ...solver.core.errors import TactileClayError
 from ..base.preferences import ADDON_VERSION
+from ..base.units import meters_per_unit
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.take.data import TakeHeader, ToolShape
 from ..core.take.files import write_header, write_start, write_tool
 from ..core.take.frames import TakeFrames
 from ..core.take.writer import TakeWriter
+from ..model.cache_folder import CacheFolderError, owner_of, resolve_directory
 from ..model.clay_scene import clay_colors, frames_per_second
 from ..simulate.simulation import Simulation
-from .pose import Moment, followed, pose_now
+from .pose import StepRow, followed, pose_now
 from .steps import TakeSteps
 from .store import Stored, store_take
 
@@ -40,23 +42,30 @@ if TYPE_CHECKING:
 _NUMBER = re.compile(r"(.*)_take_\d{3,}")
 
 
-class TakeError(Exception):
+class TakeError(TactileClayError):
     """A take cannot be recorded or used; the message says why and what to do."""
 
 
 class Mark(NamedTuple):
-    """A moment of a take to come back to."""
+    """A moment of a take to return to."""
 
     seconds: float
+    """Simulated time since the beginning [s]."""
     edits: int
+    """Edits made so far."""
 
 
 class TakeRecorder:
     """Records a live session, from `begin` to `finish`.
 
-    At each step of the session call `look` when the solver has been told where everything is, and
-    `step` when it came to something. All of it is of the main thread, and none of it waits for the
-    disk.
+    For each step of the session, call `look` when the solver has been told where everything is, and
+    `step` when the step is done. Call it from the main thread only; nothing waits for the disk.
+
+    Args:
+        scene: The session's.
+        simulation: The session's.
+        directory: Where the take goes.
+        header: What is recorded.
     """
 
     def __init__(
@@ -67,12 +76,13 @@ class TakeRecorder:
         self.seconds = 0.0
         """Simulated time since the beginning [s]."""
         self.warnings: list[str] = []
-        """What a person should know of the take."""
-        self._moment: Moment | None = None
+        """What the user should know about the take."""
+        self._row: StepRow | None = None
         self._edits = 0
         self._tool_numbers: dict[bytes, int] = {}
         self._positions = simulation.positions()
         self._colors = simulation.colors
+        layout = followed(scene)
         meta = Meta(
             start=header.frame_start,
             end=header.frame_start,
@@ -86,17 +96,17 @@ class TakeRecorder:
         cache.begin(meta, self._colors)
         self._writer = TakeWriter()
         self._frames = TakeFrames(self._writer, cache, meta)
-        self._steps = TakeSteps(directory, self._writer, followed(scene))
+        self._steps = TakeSteps(directory, self._writer, layout)
 
     @classmethod
     def begin(
         cls, scene: bpy.types.Scene, simulation: Simulation, *, directory: Path | None = None
     ) -> TakeRecorder:
-        """Begin to record, where everything is now.
+        """Begin to record, with everything where it is now.
 
         Args:
             scene: The session's.
-            simulation: The session's; its solver is built, and does nothing at the moment.
+            simulation: The session's; its solver is built, and idle.
             directory: An empty folder; a new one beside the scene's cache where not given.
 
         Raises:
@@ -104,41 +114,42 @@ class TakeRecorder:
         """
         try:
             folder = directory or free_directory(scene)
-            first = 0
-            start = {}
-            positions = simulation.positions()
-            for part in simulation.parts:
-                rows = slice(first, first + part.count)
-                start[part.name] = (positions[rows], simulation.colors[rows])
-                first += part.count
+            layout = simulation.parts
+            positions = layout.split(simulation.positions())
+            colors = layout.split(simulation.colors)
+            start = dict(zip(layout.names, zip(positions, colors, strict=True), strict=True))
             header = TakeHeader(
                 frame_start=scene.frame_start,
                 frames_per_second=frames_per_second(scene),
-                unit_scale=scene.unit_settings.scale_length,
+                unit_scale=meters_per_unit(scene),
                 clay=tuple((p.name, p.count, float(simulation.spacing)) for p in simulation.parts),
             )
             folder.mkdir(parents=True, exist_ok=True)
             recorder = cls(scene, simulation, folder, header)
-            write_start(folder, start)
-            write_header(folder, header)
+            try:
+                write_start(folder, start)
+                write_header(folder, header)
+                recorder.look(bpy.context.evaluated_depsgraph_get())
+                recorder._take_row()
+                recorder._frames.first(recorder._positions)
+            except BaseException:
+                recorder.end()
+                raise
         except OSError as error:
             raise TakeError(f"{folder} cannot be made ({error.strerror or error}).") from error
-        except (BakeError, CacheError) as error:
+        except (CacheFolderError, CacheError) as error:
             raise TakeError(str(error)) from error
-        recorder.look(bpy.context.evaluated_depsgraph_get())
-        recorder._take_row()
-        recorder._frames.first(recorder._positions)
         return recorder
 
     @property
     def problem(self) -> str:
-        """Why nothing can be written at the moment; it is tried again. Empty where all is well."""
+        """Why nothing can be written now; it is tried again. Empty if all is well."""
         return self._writer.problem
 
     # While it is recorded -----------------------------------------------------------------------
 
     def use_tools(self, meshes: Sequence[ToolMesh]) -> None:
-        """Say what is in the mouse from now on."""
+        """Record these tools in the mouse from now on."""
         numbers = []
         for mesh in meshes:
             tool = ToolShape(
@@ -151,14 +162,14 @@ class TakeRecorder:
             numbers.append(self._tool_numbers[key])
         if tuple(numbers) != self._steps.layout.tools:
             self._steps.follow(replace(self._steps.layout, tools=tuple(numbers)))
-            self._moment = None
+            self._row = None
 
     def look(
         self,
         depsgraph: bpy.types.Depsgraph,
         tools: Sequence[tuple[NDArray[np.floating], bool]] = (),
     ) -> None:
-        """Note what the next step does: call it where the solver is told, from the same state.
+        """Note what the next step does: call it when the solver is told, with the same state.
 
         Args:
             depsgraph: The evaluated scene that the solver was fed from.
@@ -166,11 +177,11 @@ class TakeRecorder:
                 whether the clay feels it.
         """
         try:
-            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
+            self._row = pose_now(self._steps.layout, depsgraph, list(tools))
         except (LookupError, ReferenceError):
             # Colliders or hands came or went.
             self._steps.follow(followed(depsgraph.scene.original, self._steps.layout.tools))
-            self._moment = pose_now(self._steps.layout, depsgraph, list(tools))
+            self._row = pose_now(self._steps.layout, depsgraph, list(tools))
 
     def step(
         self,
@@ -178,16 +189,16 @@ class TakeRecorder:
         positions: NDArray[np.floating],
         colors: NDArray[np.floating] | None = None,
     ) -> None:
-        """Take up what a step came to.
+        """Record the result of a step.
 
         Args:
             duration: Simulated time [s].
             positions: World positions of all particles [Blender units], shape [N, 3].
-            colors: Linear RGBA, shape [N, 4]; as before where not given.
+            colors: Linear RGBA, shape [N, 4]; as before if not given.
         """
         if not duration > 0.0:
             return
-        if self._moment is None:
+        if self._row is None:
             idle = [(np.eye(4), False)] * len(self._steps.layout.tools)
             self.look(bpy.context.evaluated_depsgraph_get(), idle)
         before, self._positions = self._positions, np.array(positions, np.float32)
@@ -201,9 +212,9 @@ class TakeRecorder:
         """Note a change to the particles themselves; `rebuilt` comes next.
 
         Args:
-            kind: What was done, as the registry of edits calls it.
-            parameters: How, whatever the spacing: numbers, texts, lists and arrays of them. Lengths
-                in metres, world space.
+            kind: What was done: an `EditKind`.
+            parameters: How, independent of the spacing: numbers, texts, lists and arrays of them.
+                Lengths in metres, world space.
         """
         self._edits += 1
         self._steps.event(
@@ -216,16 +227,16 @@ class TakeRecorder:
         )
 
     def rebuilt(self, simulation: Simulation) -> None:
-        """Take up that the solver was built anew, as after an edit.
+        """Note that the solver was built again, as after an edit.
 
         Raises:
-            TakeError: It is of other clay objects; the take is good up to here.
+            TakeError: The clay objects are different ones; the take is good up to here.
         """
         names = [name for name, _, _ in self.header.clay]
         if [part.name for part in simulation.parts] != names:
             raise TakeError(
-                "A clay object was added, renamed or deleted. A take is of the same clay objects "
-                "from its beginning to its end, so it ends here."
+                "A clay object was added, renamed or deleted. The clay objects of a take stay the "
+                "same from start to end, so it ends here."
             )
         self._colors = simulation.colors
         self._place(np.concatenate(simulation.rest).astype(np.float32), simulation)
@@ -235,7 +246,7 @@ class TakeRecorder:
         return Mark(self.seconds, self._edits)
 
     def rewind(self, mark: Mark, simulation: Simulation) -> None:
-        """Go back to an earlier moment, as Undo does: what came later is not in the take.
+        """Go back to an earlier moment, as Undo does: what came later is dropped from the take.
 
         Args:
             mark: What `mark` gave.
@@ -253,33 +264,39 @@ class TakeRecorder:
         self._positions = positions
 
     def _take_row(self) -> None:
-        assert self._moment is not None
-        if self._steps.add(self._moment, self.seconds):
+        assert self._row is not None
+        if self._steps.add(self._row, self.seconds):
             self._frames.tell_end()
-        self._moment = None
+        self._row = None
 
     def _write(self, task: Callable[[], None]) -> None:
-        # Before the frames that wait: those can be made anew.
+        # Before the frames that wait, which can be computed again.
         self._writer.do(task, first=True)
 
     # The end ------------------------------------------------------------------------------------
 
-    def leave(self) -> None:
-        """End the take on the disk alone, where its scene is gone; Recover Take finds it there."""
-        self._steps.flush()
-        self._frames.last(self.seconds, self._positions)
+    def end(self) -> None:
+        """End the thread after it has written what it can; a second call does nothing."""
         with suppress(CacheError):
             self._writer.close()
+
+    def leave(self) -> None:
+        """End the take on the disk only, as its scene is gone; Recover Take finds it there."""
+        try:
+            self._steps.flush()
+            self._frames.last(self.seconds, self._positions)
+        finally:
+            self.end()
 
     def finish(self, scene: bpy.types.Scene) -> Stored:
         """End the take and put it on the timeline.
 
-        Hands and tools get keyframes, the frame range becomes that of the take, the clay it began
-        with stays in the .blend, and the timeline plays the clay as it went. The current frame is
-        the last, where the clay is as it was left.
+        Hands and tools get keyframes, the frame range becomes that of the take, the clay at its
+        start is stored in the .blend, and the timeline plays the clay as it happened. The current
+        frame is the last, which shows the clay as it was left.
 
         Args:
-            scene: The session's, when the session has ended and kept its clay.
+            scene: The session's, after the session has ended and kept its clay.
 
         Raises:
             TakeError: Nothing was recorded.
@@ -294,16 +311,16 @@ class TakeRecorder:
             self._writer.close()
         except CacheError as error:
             self.warnings.append(
-                f"{error} Hands and tools are on the timeline all the same; Bake Again makes the "
-                "clay's frames anew."
+                f"{error} Hands and tools are on the timeline nevertheless; Bake Again computes "
+                "the clay's frames again."
             )
         if self.seconds == 0.0:
-            raise TakeError("Nothing was recorded: the clay never moved on.")
+            raise TakeError("Nothing was recorded: no time was simulated.")
         stored = store_take(scene, self.directory, unwritten=self._steps.unwritten)
         return stored._replace(warnings=(*self.warnings, *stored.warnings))
 
     def _colors_shown(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
-        """Colours of all particles as they were painted last, shape [N, 4]."""
+        """Colors of all particles as painted last, shape [N, 4]."""
         items = [scene.objects.get(name) for name, _, _ in self.header.clay]
         parts = [clay_colors(item) for item in items if item is not None]
         colors = np.concatenate([np.zeros((0, 4), np.float32), *parts])
@@ -314,7 +331,7 @@ def free_directory(scene: bpy.types.Scene) -> Path:
     """A folder for a new take, beside the scene's cache.
 
     Raises:
-        BakeError: The scene has no cache folder, or the .blend was never saved.
+        CacheFolderError: The scene has no cache folder, or the .blend was never saved.
     """
     cache = resolve_directory(scene)
     match = _NUMBER.fullmatch(cache.name)
@@ -330,4 +347,4 @@ def _listed(value: object) -> object:
         return value.tolist()
     if isinstance(value, Sequence):
         return list(value)
-    raise TypeError(f"An edit's parameter is {value!r}, which cannot be kept in a file.")
+    raise TypeError(f"An edit's parameter is {value!r}, which cannot be written to a file.")

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The live session, ticked by hand against a clock of its own."""
 
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,10 +19,10 @@ from tactile_clay.clay_addon.core.tools.edits import Edit
 from tactile_clay.clay_addon.core.tools.settings import ToolMesh
 from tactile_clay.clay_addon.model.clay_points import is_sculpted
 from tactile_clay.clay_addon.playback import playback
-from tactile_clay.clay_addon.sculpt import session as sessions
-from tactile_clay.clay_addon.sculpt.live_surface import OBJECT_NAME
-from tactile_clay.clay_addon.sculpt.session import SculptSession
-from tactile_clay.clay_addon.sculpt.session_checks import SculptError
+from tactile_clay.clay_addon.sculpt.live.checks import SculptError
+from tactile_clay.clay_addon.sculpt.live.current import current
+from tactile_clay.clay_addon.sculpt.live.session import SculptSession
+from tactile_clay.clay_addon.sculpt.live.surface import OBJECT_NAME
 
 
 @dataclass
@@ -40,7 +42,7 @@ class Finger:
         ball = trimesh.creation.icosphere(2, 0.01)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
-    def poses(self, duration: float) -> list[tuple[Any, bool]]:
+    def poses(self, duration: float, positions: Any) -> list[tuple[Any, bool]]:
         """Above the clay, or in it."""
         self.poses_asked.append(duration)
         pose = np.eye(4)
@@ -102,10 +104,10 @@ def sculpting(studio: Any, tmp_path: Path) -> Iterator[Sculpting]:
     studio.save(tmp_path)
     finger, clock = Finger(), Clock()
     running = SculptSession(bpy.context, tools=finger, clock=clock)
-    sessions.current = running
+    current.session = running
     assert len(clay.data.points) == 64
     yield Sculpting(running, finger, clock)
-    sessions.stop(bpy.context)
+    current.stop(bpy.context)
 
 
 def top_of(studio: Any, clay: Any) -> float:
@@ -204,7 +206,7 @@ def test_moved_clay_stays_where_it_was_moved(studio: Any, sculpting: Sculpting) 
 def test_a_bake_no_longer_shows_over_sculpted_clay(studio: Any, sculpting: Sculpting) -> None:
     """Leave sculpted clay alone when the frame changes, until it is baked again."""
     clay = studio.scene.objects["Clay"]
-    sessions.stop(bpy.context)
+    current.stop(bpy.context)
     bake(bpy.context, end=3)
     finger, clock = Finger(), Clock()
     again = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
@@ -304,10 +306,10 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     """Leave no autosave, no paused playback and no session."""
     sculpting.run(0.1)
     sculpting.press(0.025)
-    sessions.stop(bpy.context)
-    assert sessions.current is None
+    current.stop(bpy.context)
+    assert current.session is None
     assert not list(tmp_path.glob("*autosave*"))
-    assert playback._pauses == 0
+    assert playback.timeline.pauses == 0
 
 
 def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
@@ -359,4 +361,59 @@ def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
     """Say what is missing, and leave all as it is."""
     with pytest.raises(SculptError, match="no clay"):
         SculptSession(bpy.context)
-    assert playback._pauses == 0
+    assert playback.timeline.pauses == 0
+
+
+def session_threads() -> set[str]:
+    """Names of the threads of a session that are alive."""
+    own = ("clay-sculpt", "clay surface", "clay-autosave", "clay-take")
+    return {each.name for each in threading.enumerate() if each.name.startswith(own)}
+
+
+def threads_end() -> bool:
+    """Whether all threads of a session end within some seconds."""
+    until = time.perf_counter() + 30.0
+    while session_threads() and time.perf_counter() < until:
+        time.sleep(0.02)
+    return not session_threads()
+
+
+@pytest.mark.parametrize("context", [bpy.context, None], ids=["scene", "no-scene"])
+def test_all_threads_end_even_if_the_end_fails(
+    studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: Any
+) -> None:
+    """End solver, surface, autosave and take when another file loads, or keeping the clay fails."""
+    studio.clay(location=(0.0, 0.0, 0.02))
+    studio.table()
+    studio.save(tmp_path)
+    studio.scene.tactile_clay.record_take = True
+    finger, clock = Finger(), Clock()
+    work = Sculpting(SculptSession(bpy.context, tools=finger, clock=clock), finger, clock)
+    work.run(0.1)
+    work.press(0.025)
+    assert len({name.split("_")[0] for name in session_threads()}) == 4
+    if context is None:
+        work.session.finish(None)
+    else:
+        monkeypatch.setattr(work.session.clay, "has_moved_far", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            work.session.finish(bpy.context)
+    assert threads_end(), session_threads()
+    assert playback.timeline.pauses == 0
+    work.session.finish(context)
+
+
+def test_a_session_that_cannot_start_leaves_no_thread(
+    studio: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """End the solver's thread if something fails after the build has begun."""
+    studio.clay(location=(0.0, 0.0, 0.02))
+
+    def fail(*_: Any) -> None:
+        raise RuntimeError("no wheels")
+
+    monkeypatch.setattr("tactile_clay.clay_addon.sculpt.live.session.LiveWheels", fail)
+    with pytest.raises(RuntimeError, match="no wheels"):
+        SculptSession(bpy.context)
+    assert threads_end(), session_threads()
+    assert playback.timeline.pauses == 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of clay while it is worked live: a mesh object that stands for the clay meanwhile.
+"""The surface of clay during a live session: a mesh object that stands in for the clay.
 
-Neither a saved file nor one loaded or undone to keeps it: what stands for the clay goes, and the
-clay shows as before.
+It is never saved, and is removed when a file is loaded or something is undone; the clay then shows
+as before.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from collections.abc import Sequence
 import bpy
 from bpy.app.handlers import persistent
 
-from ..base.app_handlers import add_handlers, remove_handlers
-from ..base.surface_mesh import fill_surface_mesh
-from ..clay.look import MODIFIER_NAME
-from ..clay.look_material import clay_material
-from ..core.surface.worker import Part, SurfaceWorker
-from ..playback.poses import pose_modifier
+from ...base.app_handlers import add_handlers, remove_handlers
+from ...base.surface_mesh import fill_surface_mesh
+from ...clay.look import MODIFIER_NAME
+from ...clay.look_material import clay_material
+from ...core.surface.worker import Part, SurfaceWorker
+from ...playback.poses import pose_modifier
 
 OBJECT_NAME = "Live clay"
-LONGEST_SECONDS = 0.2
-"""A surface that takes longer does not keep pace with hands."""
+MAX_SECONDS = 0.2
+"""A surface that takes longer than this does not keep pace with hands [s]."""
 _MARK = "tactile_clay_live_surface"
-"""Custom property of the object that stands for the clay."""
+"""Custom property of the object that stands in for the clay."""
 _BEFORE = "tactile_clay_before_live"
-"""Custom property of clay that something stands for: how it was shown before."""
+"""Custom property of clay that is replaced by a surface: how it was shown before."""
 _POINTS = object()
-"""What is shown where it is no surface."""
+"""What is shown instead of a surface."""
 
 _open: weakref.WeakSet[LiveSurface] = weakref.WeakSet()
 
 
 class LiveSurface:
-    """Shows clay that is worked live as one smooth, coloured surface. For the main thread.
+    """Shows the clay of a live session as one smooth, colored surface. For the main thread.
 
         live = LiveSurface(context, clay_objects(context.scene))
         live.offer([(positions, colors)])  # each tick
@@ -44,8 +44,8 @@ class LiveSurface:
         live.close()
 
     The clay objects are hidden from the viewport, not from evaluation, and their own surface, which
-    takes far longer, is switched off there; renders show them as ever. Where surfaces do not keep
-    pace, points are shown while the clay moves, and its surface as soon as it is still.
+    takes far longer, is switched off there; renders show them as usual. If surfaces do not keep
+    pace, points are shown while the clay moves, and the surface once it is still.
 
     Args:
         context: Its scene is where the surface is shown.
@@ -61,7 +61,7 @@ class LiveSurface:
     ) -> None:
         if not clay_objects:
             raise ValueError("There is no clay to show.")
-        from ..core.surface.quick.surface import QuickSurface, load_kernels
+        from ...core.surface.quick.surface import QuickSurface, load_kernels
 
         self.spacing = clay_objects[0].tactile_clay.spacing
         quick = QuickSurface(self.spacing)
@@ -77,18 +77,18 @@ class LiveSurface:
 
     @property
     def problem(self) -> str:
-        """Why there is no surface now, empty where there is one or none was asked for."""
+        """Why there is no surface now; empty if there is one or none was asked for."""
         return self._worker.finished().problem if self._worker else ""
 
     @property
     def seconds(self) -> float:
-        """How long a surface takes, on its own thread; about that. 0 before the first."""
+        """About how long a surface takes on its thread [s]; 0 before the first."""
         return self._worker.seconds if self._worker else 0.0
 
     @property
     def keeps_pace(self) -> bool:
         """Whether surfaces are made fast enough to show the clay while it moves."""
-        return self.seconds + self._writing_seconds <= LONGEST_SECONDS
+        return self.seconds + self._writing_seconds <= MAX_SECONDS
 
     def offer(self, parts: Sequence[Part]) -> None:
         """Hand over where the clay is now; never waits.
@@ -129,7 +129,7 @@ class LiveSurface:
         return True
 
     def leave(self) -> None:
-        """Let the clay show itself until the next surface is there."""
+        """Show the clay itself until the next surface is ready."""
         sweep(self._scene())
         self._shown = None
 
@@ -168,7 +168,7 @@ class LiveSurface:
         return [own[identifier] for identifier in self._clay_ids if identifier in own]
 
     def _object(self) -> bpy.types.Object:
-        """The object that stands for the clay, made where there is none."""
+        """The object that stands in for the clay; made if there is none."""
         scene = self._scene()
         assert scene is not None
         for item in _marked(scene):
@@ -185,7 +185,7 @@ class LiveSurface:
 
 
 def sweep(scene: bpy.types.Scene | None) -> None:
-    """Take away what stands for the clay of a scene, and show the clay as before."""
+    """Remove the stand-in for the clay of a scene, and show the clay as before."""
     if scene is None:
         return
     for item in _marked(scene):
@@ -211,7 +211,7 @@ def sweep(scene: bpy.types.Scene | None) -> None:
 
 
 def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
-    """Note how clay is shown, once, and switch off the surface of its own in the viewport."""
+    """Note how clay is shown, once, and switch off its own surface in the viewport."""
     if _BEFORE in clay or scene is None:
         return
     modifier = clay.modifiers.get(MODIFIER_NAME)
@@ -230,7 +230,7 @@ def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
 
 
 def _hide(item: bpy.types.Object, scene: bpy.types.Scene | None, hidden: bool) -> None:
-    """Hide an object from the viewport in all view layers, or show it; it is still evaluated."""
+    """Hide or show an object in all view layers of the viewport; it is evaluated either way."""
     for layer in scene.view_layers if scene else ():
         if item.name in layer.objects and item.hide_get(view_layer=layer) != hidden:
             item.hide_set(hidden, view_layer=layer)
@@ -242,7 +242,7 @@ def _marked(scene: bpy.types.Scene | None) -> list[bpy.types.Object]:
 
 @persistent
 def _on_reload(*_: object) -> None:
-    """Sweep what a file or an undo step holds, and show again what is live."""
+    """Remove stand-ins that a file or an undo step holds, and show live surfaces again."""
     for live in list(_open):
         if live._scene() is None:
             live.close()

@@ -1,29 +1,29 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the hands of a live session are let feel."""
+"""Ultrasound touch for the hands of a live session."""
 
 from __future__ import annotations
 
 from numpy.typing import NDArray
 
-from ..core.session.solver_worker import Stepped
-from ..simulate.simulation import Simulation
-from ..touch import touch
-from ..touch.array import TouchArrayError
-from ..touch.bake_touch import ghost_weights
+from ...core.session.solver_worker import Stepped
+from ...simulate.simulation import Simulation
+from ...touch import touch
+from ...touch.array import TouchArrayError
+from ...touch.bake_touch import ghost_weights
 
 
 class LiveTouch:
-    """Sends what each step of a session came to, where the scene has an array and hands."""
+    """Sends the contacts of each step to the array, if the scene has one and hands."""
 
     def __init__(self) -> None:
         self._simulation: Simulation | None = None
         self._weights: list[NDArray | None] = []
         self._since: float | None = None
         self.problem = ""
-        """What went wrong last, as a sentence; empty where nothing did."""
+        """What went wrong last, as a sentence; empty if nothing did."""
 
     def after(self, simulation: Simulation, stepped: Stepped) -> None:
-        """Let a step be felt."""
+        """Render a step as touch."""
         if not stepped.contacts or simulation.scene.tactile_touch.array is None:
             return
         if simulation is not self._simulation:

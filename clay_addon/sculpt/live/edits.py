@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Carrying edits out on the clay objects of a scene: adding, taking away and painting."""
+"""Applying edits to the clay objects of a scene: adding, removing and painting clay."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.mesh_geometry import local_from_world, transform
-from ..core.tools.edits import Edit, apply_edit
-from ..model.clay_points import replace_points, write_colors
-from ..model.clay_scene import clay_colors, read_points
+from ...base.mesh_geometry import local_from_world, transform
+from ...base.units import meters_per_unit
+from ...core.tools.edits import Edit, apply_edit
+from ...model.clay_points import replace_points, write_colors
+from ...model.clay_scene import clay_colors, read_points
 
 
 def edit_clay(
     context: bpy.types.Context, clay: Sequence[bpy.types.Object], edits: Sequence[Edit]
 ) -> bool:
-    """Do to clay objects what edits say.
+    """Apply edits to clay objects.
 
-    New clay goes to the object that is nearest. An object keeps its last particle, so that it does
-    not vanish under a brush.
+    New clay goes to the nearest object. An edit that would remove an object's last particle is
+    ignored there, so that it does not vanish under a brush.
 
     Args:
         context: Where the objects are.
         clay: Clay objects.
-        edits: In their order.
+        edits: What to do, in order.
 
     Returns:
         Whether anything has changed.
     """
-    scale = context.scene.unit_settings.scale_length
+    scale = meters_per_unit(context.scene)
     shapes = [_read(item, scale) for item in clay]
     changed = [False] * len(clay)
     for edit in edits:
@@ -39,15 +40,15 @@ def edit_clay(
         if edit.kind == "add":
             distances = [_distance(points, edit) for points, _ in shapes]
             chosen = range(int(np.argmin(distances)), int(np.argmin(distances)) + 1)
-        for which in chosen:
-            points, colors = shapes[which]
-            spacing = clay[which].tactile_clay.spacing * scale
+        for index in chosen:
+            points, colors = shapes[index]
+            spacing = clay[index].tactile_clay.spacing * scale
             result = apply_edit(edit, points, colors, spacing)
             if not len(result.positions):
                 continue
             if result.moves_particles or not np.array_equal(result.colors, colors):
-                shapes[which] = result.positions, result.colors
-                changed[which] = True
+                shapes[index] = result.positions, result.colors
+                changed[index] = True
     for item, (points, colors), touched in zip(clay, shapes, changed, strict=True):
         if not touched:
             continue
@@ -60,7 +61,7 @@ def edit_clay(
 
 
 def _read(item: bpy.types.Object, scale: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """World positions [m] and colours of a clay object's points."""
+    """World positions [m] and colors of a clay object's points."""
     local = read_points(item, "position")
     assert local is not None
     world = transform(np.array(item.matrix_world), local) * scale

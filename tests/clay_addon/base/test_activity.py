@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One thing at a time holds the clay."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import pytest
+
+from tactile_clay.clay_addon.base.activity import ActivityKind, BusyError, ClayActivity
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a work."""
+
+    frame: int
+    done: int = 0
+    total: int = 3
+    seconds_left: float | None = None
+
+
+def work(log: list[str], *, fails: bool = False) -> Generator[Step, str | None, str]:
+    """Three steps, that note what they are sent and how they end."""
+    try:
+        for frame in range(3):
+            log.append(str((yield Step(frame))))
+            if fails:
+                raise ValueError("no more")
+    except GeneratorExit:
+        log.append("closed")
+        raise
+    return "done"
+
+
+@pytest.mark.parametrize("kind", ActivityKind)
+def test_second_activity_is_refused_with_how_to_end_the_first(kind: ActivityKind) -> None:
+    """Say what holds the clay, and let go only when that ends."""
+    activity = ClayActivity()
+    with activity.held(kind):
+        for other in ActivityKind:
+            with pytest.raises(BusyError, match=r"Press (Esc|Finish)"):
+                activity.begin(other)
+        assert activity.kind is kind
+    activity.check_free()
+
+
+def test_progress_is_known_while_steps_go_on() -> None:
+    """Keep the newest step, pass on what is sent, and give the result."""
+    activity = ClayActivity()
+    log: list[str] = []
+    steps = activity.through(ActivityKind.BAKE, work(log))
+    assert next(steps) == activity.progress == Step(0)
+    assert steps.send("a") == activity.progress == Step(1)
+    assert steps.send("b") == Step(2)
+    with pytest.raises(StopIteration) as ended:
+        next(steps)
+    assert ended.value.value == "done"
+    assert log == ["a", "b", "None"]
+    assert activity.kind is None
+
+
+@pytest.mark.parametrize("how", ["closed", "failed", "dropped"])
+def test_clay_is_free_however_a_work_ends(how: str) -> None:
+    """Let go when steps are closed, fail, or are dropped."""
+    activity = ClayActivity()
+    log: list[str] = []
+    steps = activity.through(ActivityKind.DELIVERY, work(log, fails=how == "failed"))
+    next(steps)
+    assert activity.kind is ActivityKind.DELIVERY
+    if how == "closed":
+        steps.close()
+    elif how == "failed":
+        with pytest.raises(ValueError, match="no more"):
+            next(steps)
+    else:
+        del steps
+    assert activity.kind is None
+    assert log == (["None"] if how == "failed" else ["closed"])
+
+
+def test_refused_work_is_closed_and_takes_nothing_away() -> None:
+    """Leave the first in possession where a second is refused."""
+    activity = ClayActivity()
+    activity.begin(ActivityKind.SCULPTING)
+    with pytest.raises(BusyError):
+        next(activity.through(ActivityKind.BAKE, work([])))
+    assert activity.kind is ActivityKind.SCULPTING
