@@ -92,7 +92,7 @@ class Hand:
         if isinstance(bones, Mapping):
             rows, poses = self._named(bones)
         else:
-            rows, poses = slice(None), np.array(bones, np.float64)
+            rows, poses = list(range(len(self._bones))), np.array(bones, np.float64)
             if poses.shape != self._bones.shape:
                 raise ValueError(
                     f"The poses of the bones have shape {poses.shape}; the hand has "
@@ -100,7 +100,7 @@ class Hand:
                 )
         if not len(poses):
             return
-        names = self.bone_names if isinstance(rows, slice) else [self.bone_names[r] for r in rows]
+        names = [self.bone_names[row] for row in rows]
         self._check(poses, names, self._rest_inverse[rows])
         changed = self._bones.copy()
         changed[rows] = poses
