@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay, contact and what moves them: Warp and numpy, never Blender.
+"""Clay, hands and colliders, simulated with Warp and numpy, never Blender.
 
-What needs Warp is loaded on first use, so that materials and mesh checks cost nothing to import.
+Modules that need Warp are loaded on first use, so that importing materials and mesh checks is fast.
 """
 
 from importlib import import_module
@@ -43,6 +43,7 @@ __all__ = [
     "fill_mesh",
 ]
 
+# A test compares this table with __all__.
 _LOADED_ON_USE = {
     "ClayBody": "scene.scene",
     "Diagnostics": "scene.diagnostics",
@@ -61,6 +62,7 @@ _LOADED_ON_USE = {
 
 
 def __getattr__(name: str) -> Any:
+    """Load a public name from its module on first use."""
     if name in _LOADED_ON_USE:
         return getattr(import_module(f".{_LOADED_ON_USE[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -10,9 +10,9 @@ from .core.regions import Regions
 
 
 class ClayModel(Protocol):
-    """Computes what clay does to itself and to the colliders in a substep.
+    """Computes the forces of clay on itself and on the colliders in a substep.
 
-    A model is built with the particles, the contacts and the settings, and changes them in place.
+    A model is built with the particles, the contacts and the settings, and updates them in place.
     """
 
     @property
@@ -20,7 +20,7 @@ class ClayModel(Protocol):
         """Whether parts of the clay may sleep while others move."""
 
     def rest(self, resting: NDArray, time_step: float) -> None:
-        """Bring particles to rest that fall asleep.
+        """Bring particles that fall asleep to rest.
 
         Args:
             resting: Their indices.
@@ -28,13 +28,13 @@ class ClayModel(Protocol):
         """
 
     def unheld(self, regions: Regions) -> NDArray:
-        """Which regions sleep and are held by nothing any more, shape [R]."""
+        """Whether each region sleeps and is no longer held by anything, shape [R]."""
 
     def wake(self, woken: NDArray) -> None:
-        """Take up particles that are about to wake; they still count as resting."""
+        """Prepare to wake particles, which still count as asleep."""
 
     def woken(self) -> None:
-        """Go on with them, now that they are awake."""
+        """Finish waking particles, which now count as awake."""
 
     def begin_step(self) -> None:
         """Prepare for the substeps of a step."""
@@ -43,17 +43,17 @@ class ClayModel(Protocol):
         """Find contacts, change velocities, move particles, sum the impulses on colliders."""
 
     def compression(self) -> NDArray:
-        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+        """Each particle's relative excess of density over that at rest, at least 0; shape [N]."""
 
     @property
     def overflow(self) -> int:
-        """How often something found no room in a list, since the beginning."""
+        """Number of entries that found no room in a list, since the start."""
 
     def passes(self) -> list[str]:
-        """What a substep consists of, in order, for people to read."""
+        """Names of the passes of a substep, in order, for people to read."""
 
     def snapshot(self) -> dict[str, NDArray]:
-        """All of its state that decides what the next steps do."""
+        """All state that determines the next steps."""
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The solver: builds the passes a scene needs, and steps them."""
+"""The solver: builds the passes that a scene needs, and steps them."""
 
 import math
 
@@ -23,29 +23,29 @@ from .soft_hand.hold import held_part
 from .soft_hand.soft_hand import SoftHand
 
 CLAY_STRIDE = 0.5
-"""The fastest clay moves this far in a substep, in spacings: what collides needs that."""
+"""Largest motion of the fastest clay in a substep, in spacings, for collisions to be found."""
 COLLIDER_STRIDE = 0.25
-"""A collider moves this far along its normals in a substep at most, in spacings: half a radius."""
+"""Largest motion of a collider along its normals in a substep, in spacings: half a radius."""
 COLLIDER_SLIDE = 1.0
-"""A collider moves this far along itself in a substep at most, in spacings, where clay is."""
+"""Largest motion of a collider along its surface in a substep, in spacings, where clay is."""
 COLLIDER_TURN = 0.05
-"""A collider that moves much turns by this in a substep at most [rad]: velocities of clay that it
-carries round are then within two thousandths."""
+"""Largest turn of a fast collider in a substep [rad]: velocities of clay that it carries around are
+then correct to two thousandths."""
 FAMILIAR = 1.5
-"""Up to this many times as many substeps as needed are taken where as many were before."""
+"""The number of substeps is kept while it is at most this many times the number needed."""
 SWEEP_LIMIT = 32
-"""A collider that would take this many times the substeps jumps instead of sweeping."""
-MOST_SUBSTEPS = 128
-"""Fast clay takes at most this many substeps in 1/60 s."""
+"""A collider that would need more than this many times the substeps jumps instead of sweeping."""
+MAX_SUBSTEPS = 128
+"""Largest number of substeps in 1/60 s for fast clay."""
 SPEED_FLOOR = 1.0
-"""Inner forces may always make clay this fast [m/s]; see `Solver._limit_speed`."""
+"""Speed that internal forces may always give clay [m/s]; see `Solver._limit_speed`."""
 SPEED_MARGIN = 1.5
-"""How much faster than the fastest was inner forces may make a particle: clay that spins,
-bounces or whips trades speed between its parts, and clamping it would cost momentum."""
+"""How many times the previous top speed internal forces may give a particle: clay that spins,
+bounces or whips trades speed between its parts, and clamping would cost momentum."""
 _SURROUNDINGS = ("collider_", "contact_", "coarse_", "hand_", "region_")
-"""Parts of a snapshot that are not the clay's own, or follow from where it is."""
+"""Prefixes of the parts of a snapshot that are not the clay's own, or follow from it."""
 SPEED_MEMORY = 0.5
-"""How long the clay may remember the speed it had, to bounce back with it [s]."""
+"""Time constant with which the clay forgets its top speed, so that it can bounce back [s]."""
 
 
 class Solver:
@@ -54,7 +54,7 @@ class Solver:
     The step follows algorithm 1 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with
     Virtual Clay*, WHC 2021 (predict, project, update velocities), in a few small steps (Macklin et
     al., *Small Steps in Physics Simulation*, SCA 2019, doi 10.1145/3309486.3340247). What clay
-    does in a substep is the matter of a clay model, such as `PlasticBonds`.
+    does in a substep is computed by a clay model, such as `PlasticBonds`.
 
     Example::
 
@@ -66,25 +66,25 @@ class Solver:
             solver.step(1 / 60)
         print(solver.positions(), solver.force_on(floor))
 
-    *Limitations*: the force of a press agrees with slip-line theory to 15 % where the tool is at
-    least three spacings in radius, to a third at 2.4. Steady shear meets a tenth less resistance
-    than the material says, and films of ten particles flow up to a fifth slower. Elastic clay
+    *Limitations*: the force of a press agrees with slip-line theory to 15 % if the tool's radius is
+    at least three spacings, to a third at 2.4. Steady shear meets a tenth less resistance than
+    the material specifies, and films of ten particles flow up to a fifth slower. Elastic clay
     bounces with a third of the speed it should at the live setting. Clay kneaded a hundred times
-    loses some 5 % of the volume inside its surface. Bonds act between neighbours only, so Poisson's
+    loses some 5 % of the volume inside its surface. Bonds act between neighbors only, so Poisson's
     ratio is that of a central-force network and the pressure keeps the volume. Contact is a stiff
     penalty: under a fingertip particles enter a collider by a twentieth of the spacing, and a soft
     hand that is hit fast by up to their radius. Planes and meshes push clay but do not yield to it;
     hands do, some milliseconds late, and pass through planes, meshes, each other and themselves.
-    What lies between awake clay and a collider and sleeps does not pass on the force of a press. On
-    a GPU the coarse matrix is inverted on the host, and no GPU has run it.
+    Sleeping clay between awake clay and a collider does not transmit the force of a press. On a GPU
+    the coarse matrix is inverted on the host, and no GPU has run it.
 
     Args:
-        scene: What is in it; clay and colliders added later are not seen.
-        settings: How finely to work.
+        scene: The scene; clay and colliders added to it later are ignored.
+        settings: Resolution in time, and parts of the model.
         device: Warp device, such as "cpu" or "cuda:0".
 
     Raises:
-        ValueError: The device does not exist, or the clay model does not know hands.
+        ValueError: The device does not exist, or the clay model does not support hands.
     """
 
     def __init__(self, scene: Scene, settings: Settings | None = None, device: str = "cpu") -> None:
@@ -97,7 +97,7 @@ class Solver:
             raise ValueError(f"There is no device {device!r}. There are: {known}.") from error
         if scene.hands and self.settings.model == "paper":
             raise ValueError(
-                'The clay model "paper" does not know hands: use "plastic_bonds", or add the '
+                'The clay model "paper" does not support hands: use "plastic_bonds", or add the '
                 "hand's skin as a mesh."
             )
         self.time = 0.0
@@ -116,7 +116,7 @@ class Solver:
         self._regions = Regions(self._particles, sleeping=sleeping)
 
     def step(self, duration: float = BASE_STEP) -> None:
-        """Advance by ``duration`` [s]; colliders reach what was last set for them.
+        """Advance by ``duration`` [s]; colliders reach the poses that were last set.
 
         Raises:
             ValueError: The duration is not a positive number.
@@ -126,7 +126,7 @@ class Solver:
         shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
         speed = self._regions.fastest
         stride = CLAY_STRIDE * self.scene.spacing
-        most = math.ceil(MOST_SUBSTEPS * duration / BASE_STEP)
+        most = math.ceil(MAX_SUBSTEPS * duration / BASE_STEP)
         substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
         motion = 0.0
         if self._contacts.meshes:
@@ -153,7 +153,7 @@ class Solver:
         self._substeps = substeps
 
     def _wake(self, boxes: list[NDArray[np.float64]]) -> None:
-        """Wake the clay that colliders moving through ``boxes`` [m] or other clay disturb."""
+        """Wake clay that is disturbed by other clay or by colliders sweeping ``boxes`` [m]."""
         regions = self._regions
         woken = regions.lay_out() if regions.outgrown else np.zeros(0, np.int64)
         wake = regions.disturbed(boxes, self._model.unheld(regions))
@@ -166,7 +166,7 @@ class Solver:
             self._model.woken()
 
     def _doze(self, duration: float) -> None:
-        """Let clay fall asleep that has come to rest."""
+        """Put clay that has come to rest to sleep."""
         regions = self._regions
         tired = regions.doze(duration)
         if tired.any():
@@ -177,9 +177,9 @@ class Solver:
     def _limit_speed(self, speed: float, collider_speed: float, duration: float) -> None:
         """Bound how fast anything can become in this step.
 
-        Clay that overlaps itself, as when particles are added on one spot, holds far more elastic
-        energy than clay can. Nothing that happens to clay makes it faster than it was a moment
-        ago, but for gravity and for tools, which can throw it with twice their speed.
+        Clay that overlaps itself, as when particles are added in one spot, holds far more elastic
+        energy than real clay can. Nothing makes real clay faster than it was a moment ago except
+        gravity and tools, which can throw it at twice their speed.
 
         Args:
             speed: Of the fastest particle [m/s].
@@ -188,7 +188,7 @@ class Solver:
         """
         fall = 2.0 * float(np.linalg.norm(self.scene.gravity)) * duration
         thrown = max(SPEED_FLOOR, 2.0 * collider_speed)
-        # Only what came from outside raises what is kept, not what inner forces did since.
+        # Only external causes raise the limit, not what internal forces have done since.
         explained = min(speed, max(self._speed_before + fall, thrown))
         kept = max(explained, self._speed_before * math.exp(-duration / SPEED_MEMORY))
         self._speed_before = kept
@@ -200,13 +200,13 @@ class Solver:
         return meshes.hands if meshes else []
 
     def _rest_on_hands(self, duration: float) -> None:
-        """Move hands that no clay is awake to see, and let clay weigh on them."""
+        """Move hands while all clay sleeps, and let clay weigh on them."""
         for hand in self._hands:
             hand.begin_substep(0, 1, duration)
             hand.gather(self._contacts.slots, duration)
 
     def _plan_colliders(self, shortest: int, substeps: int, duration: float) -> tuple[int, float]:
-        """Substeps such that no collider near the clay moves far into it in one.
+        """Choose substeps so that no collider near the clay moves far into it in one.
 
         Returns:
             Their number, and the farthest motion of a collider that sweeps near the clay [m].
@@ -215,7 +215,7 @@ class Solver:
         assert meshes is not None
         stride = COLLIDER_STRIDE * self.scene.spacing
         motions, boxes = meshes.farthest_motion(stride * shortest)
-        # What the clay itself may move towards a collider meanwhile is bounded by its substeps.
+        # The motion of the clay towards a collider is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
         low, high = self._regions.box + np.array([[-reach], [reach]])
         touched = self._regions.box + np.array([[-1.0], [1.0]]) * self.scene.spacing
@@ -223,15 +223,15 @@ class Solver:
         most = SWEEP_LIMIT * shortest
         teleported = [motion > most * stride for motion in motions]
         swept = []
-        for which, motion in enumerate(motions):
-            if near[which] and which < len(self.scene.meshes) and motion > stride * substeps:
-                sweep = meshes.sweep(which, np.stack([low, high]), touched)
-                # A large wheel does not jump, however fast it is.
-                teleported[which] = sweep.along > most * stride
+        for index, motion in enumerate(motions):
+            if near[index] and index < len(self.scene.meshes) and motion > stride * substeps:
+                sweep = meshes.sweep(index, np.stack([low, high]), touched)
+                # A large wheel does not jump, however fast it turns.
+                teleported[index] = sweep.along > most * stride
                 slide = sweep.across * COLLIDER_STRIDE / COLLIDER_SLIDE
                 turn = sweep.turn * stride / COLLIDER_TURN
                 motion = max(sweep.along, min(max(slide, turn), most * stride))
-            if near[which] and not teleported[which]:
+            if near[index] and not teleported[index]:
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
@@ -243,9 +243,9 @@ class Solver:
         return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
 
     def _familiar(self, substeps: int) -> int:
-        """A number of substeps of at least ``substeps`` that has been used, if one is near enough.
+        """The previous number of substeps if it is enough and near, else a round number.
 
-        Passes are recorded for each length of substep, which costs as much as some frames.
+        Passes are recorded for each length of substep, which costs as much as several frames.
         """
         before = self._substeps
         if substeps <= before <= FAMILIAR * substeps:
@@ -278,7 +278,7 @@ class Solver:
         return self._particles.velocity.numpy().copy()
 
     def colors(self) -> NDArray[np.float32]:
-        """Particle colours, linear RGBA in 0..1, shape [N, 4], in the order added."""
+        """Particle colors, linear RGBA in 0..1, shape [N, 4], in the order added."""
         return self._colors.copy()
 
     def force_on(self, collider: Plane | MeshCollider | Hand) -> NDArray[np.float64]:
@@ -290,17 +290,17 @@ class Solver:
         for hand in self._hands:
             if hand.hand is collider:
                 return hand.force(self._duration)
-        for which, known in enumerate(self._contacts.colliders):
+        for index, known in enumerate(self._contacts.colliders):
             if known is collider:
-                return self._contacts.force_on(which, self._duration)
+                return self._contacts.force_on(index, self._duration)
         raise ValueError("That collider is not in the scene this solver was built from.")
 
     def contacts(self, hand: Hand) -> HandContacts:
-        """What the ghosts on a hand's skin feel, mean over the last step.
+        """Forces on the ghosts of a hand's skin, mean over the last step.
 
-        Their forces add up to `force_on` the hand, and that to what the clay felt of it, turned
-        round. While a hand arrives that jumped or was lost, clay inside it is moved out gently, and
-        that counts as no force.
+        They add up to `force_on` the hand, the reaction to its force on the clay. While a hand
+        that jumped or was lost arrives, clay inside it is moved out gently; that is not reported
+        as force.
 
         Raises:
             ValueError: The hand is not part of this solver's scene.
@@ -311,7 +311,7 @@ class Solver:
         raise ValueError("That hand is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:
-        """Figures of the last step and counts since the beginning."""
+        """Figures of the last step and counts since the start."""
         count = self.scene.particle_count
         compression = 0.0
         speed = 0.0
@@ -357,7 +357,7 @@ class Solver:
         return "\n".join(lines)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Everything that decides what the next steps do, as plain arrays.
+        """All state that determines the next steps, as plain arrays.
 
         Restored into this solver, or into a new one built from an equal scene and settings on the
         same kind of device, the same steps give the same bits.
@@ -375,16 +375,16 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Take up a state that `snapshot` gave.
+        """Return to a state that `snapshot` gave.
 
         Raises:
-            ValueError: The snapshot is of another scene, or damaged. The state stays as it is.
+            ValueError: The snapshot is of another scene, or damaged. The state is unchanged.
         """
         own = self.snapshot()
         if set(own) != set(snapshot):
             raise ValueError("The snapshot is of a scene with other parts, or damaged.")
         for name in own:
-            # How many neighbours, cells and regions there are differs from moment to moment.
+            # The numbers of neighbors, cells and regions change from step to step.
             first = 1 if name.startswith(("neighbor_", "coarse_", "region_")) else 0
             if own[name].shape[first:] != snapshot[name].shape[first:]:
                 raise ValueError(
@@ -403,13 +403,13 @@ class Solver:
         self._contacts.restore(snapshot)
 
     def restore_clay(self, snapshot: dict[str, NDArray]) -> None:
-        """Take up the clay of a state, but not what touches it: colliders and hands may be others.
+        """Restore the clay of a state, but not colliders and hands, which may differ.
 
         Args:
-            snapshot: Of a solver with the same particles. All clay is awake afterwards.
+            snapshot: Snapshot of a solver with the same particles. All clay is awake afterwards.
 
         Raises:
-            ValueError: It is of other clay, or damaged. The state stays as it is.
+            ValueError: It is of other clay, or damaged. The state is unchanged.
         """
         state = self.snapshot()
         for name in state:
@@ -421,7 +421,7 @@ class Solver:
 
 
 def _bytes_held(part: object, seen: set[int]) -> int:
-    """Memory of all device arrays that an object of this package holds, itself or by others."""
+    """Memory of all device arrays that an object holds directly or through others [bytes]."""
     if id(part) in seen:
         return 0
     seen.add(id(part))
@@ -430,7 +430,7 @@ def _bytes_held(part: object, seen: set[int]) -> int:
     if isinstance(part, list | tuple):
         return sum(_bytes_held(item, seen) for item in part)
     ours = type(part).__module__.startswith(__name__.rpartition(".")[0])
-    # Most arrays stand in the structs that kernels take.
+    # Most arrays are in the structs that kernels take.
     if ours or hasattr(part, "_ctype"):
         return sum(_bytes_held(item, seen) for item in vars(part).values())
     return 0

@@ -44,8 +44,7 @@ def add_hand(
         context: Its collection takes the hand; it must be in Object Mode.
         side: "right" or "left".
         length: From the wrist joint to the tip of the straight middle finger [m].
-        proportions: How large the hand's parts are among each other; `measured_proportions` gives
-            those of a person, and their length.
+        proportions: Sizes of the hand's parts relative to each other.
         matrix: World from hand [Blender units]: where the wrist is and how it is turned.
 
     Returns:

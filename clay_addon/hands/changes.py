@@ -8,7 +8,7 @@ import hashlib
 import bpy
 import numpy as np
 
-from ...solver.geometry.polar import rotation_and_stretch
+from ...solver.geometry.rotations import rotation_and_stretch
 from .reading import armature_matrix, hand_armature, skinned_hand, weights_digest
 from .store import StoredHand
 

@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.geometry.rotations import frame_of, tangent_of
 from ..base.units import meters_per_unit
 from ..core.brush.brush import Brush
 from ..core.brush.mirror import mirror_matrices
-from ..core.brush.rigid import frame_of, tangent_of
 from ..core.tools.settings import ToolMesh
 
 _FELT = (0.82, 0.80, 0.76, 0.92)

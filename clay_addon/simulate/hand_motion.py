@@ -93,7 +93,7 @@ class MovingHand:
         )
         bones = self._bones(hand_bone_matrices(self.item, depsgraph))
         try:
-            handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+            handle.set_bones(bones)
         except ValueError as error:
             raise HandError(
                 f"{self.item.name!r} cannot start from its pose at frame "
@@ -117,7 +117,7 @@ class MovingHand:
         try:
             bones = self._bones(hand_bone_matrices(self.item, depsgraph))
             if self.handle is not None:
-                self.handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+                self.handle.set_bones(bones)
         except (HandError, ValueError) as error:
             if isinstance(error, HandError):
                 bones = np.full((len(self.rig.bone_names), 4, 4), np.nan)
@@ -141,7 +141,7 @@ class MovingHand:
         assert self.handle is not None
         if bones.shape != self.handle.bones.shape:
             raise ValueError(f"The pose of {self.item.name!r} has shape {bones.shape}.")
-        self.handle.set_bones(dict(zip(self.rig.bone_names, bones, strict=True)))
+        self.handle.set_bones(bones)
 
     def warnings(self) -> list[str]:
         """What the user should know about the hand's motion."""

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.geometry.closed_mesh import MeshError
-from ...solver.geometry.polar import rotation_and_stretch
+from ...solver.geometry.rotations import rotation_and_stretch
 from ..base.mesh_geometry import (
     SWITCHED_OFF,
     evaluated_mesh,

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.geometry.rotations import quaternions_from_matrices
 from ..base.keyed_channels import CONSTANT, Channel, needed, write_channels
 from ..base.units import from_meters
 from ..core.take.data import Layout, Steps, Take, ToolShape, frame_count
@@ -166,29 +167,11 @@ def decomposed(
     linear = matrices[:, :3, :3]
     scales = np.linalg.norm(linear, axis=1)
     scales = np.where(np.linalg.det(linear)[:, None] < 0.0, -scales, scales)
-    turns = _quaternions(linear / np.where(scales == 0.0, 1.0, scales)[:, None, :])
+    rotations = linear / np.where(scales == 0.0, 1.0, scales)[:, None, :]
+    turns = quaternions_from_matrices(rotations)[:, [3, 0, 1, 2]]
     flips = np.where((turns[1:] * turns[:-1]).sum(1) < 0.0, -1.0, 1.0)
     turns[1:] *= np.cumprod(flips)[:, None]
     return matrices[:, :3, 3], turns, scales
-
-
-def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit quaternions (w, x, y, z) of rotations [K, 3, 3], each by its largest component."""
-    m = np.moveaxis(rotations, 0, -1)
-    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
-    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    xy, xz, yz = m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1]
-    rows = np.array(
-        [
-            [1.0 + xx + yy + zz, wx, wy, wz],
-            [wx, 1.0 + xx - yy - zz, xy, xz],
-            [wy, xy, 1.0 - xx + yy - zz, yz],
-            [wz, xz, yz, 1.0 - xx - yy + zz],
-        ]
-    )
-    largest = np.argmax(np.einsum("iik->ik", rows), axis=0)
-    chosen = rows[largest, :, np.arange(rows.shape[-1])]
-    return chosen / np.linalg.norm(chosen, axis=1, keepdims=True)
 
 
 def _tracks(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..contact import passes_cpu
 from ..contact.law import (
     DEPENETRATION_SPEED,
-    MOST_CONTACTS,
+    MAX_CONTACTS,
     ContactPass,
     ContactSlots,
     press_all_contacts,
@@ -52,7 +52,7 @@ class Contacts:
         """Length of the last substep [s]."""
         self.plane_count = len(scene.planes)
         """Planes come first among the colliders."""
-        rows = (particles.count if self.colliders else 0, MOST_CONTACTS)
+        rows = (particles.count if self.colliders else 0, MAX_CONTACTS)
         slots = ContactSlots()
         for name, dtype in (
             ("collider", int),
@@ -72,7 +72,7 @@ class Contacts:
             ("push_before", float),
         ):
             setattr(slots, name, wp.zeros(rows, dtype=dtype, device=device))
-        soft_rows = (particles.count if scene.hands else 0, MOST_CONTACTS)
+        soft_rows = (particles.count if scene.hands else 0, MAX_CONTACTS)
         for name, dtype in (
             ("compliance", wp.vec2),
             ("lean", wp.vec3),

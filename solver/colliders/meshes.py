@@ -9,6 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ..core.particles import Particles
+from ..geometry.rotations import rotation_vectors_from_matrices
 from ..scene.scene import MeshCollider, Scene
 from ..soft_hand.soft_hand import SoftHand
 from .shape import (
@@ -17,7 +18,6 @@ from .shape import (
     box_diagonal,
     longest,
     poses_between,
-    rotation_vector,
     shape_of,
 )
 
@@ -177,7 +177,7 @@ class MeshColliders:
         begin = moving.shape
         first, last = begin.moved(begin.vertices), end.moved(end.vertices)
         # By its velocity: from end to end the rim of a wheel would seem to cut through it.
-        turn = rotation_vector(end.rotation @ begin.rotation.T)
+        turn = rotation_vectors_from_matrices(end.rotation @ begin.rotation.T)
         shift = end.translation - begin.translation
         change = (end.vertices - begin.vertices) if end.vertices is not begin.vertices else None
         faces = moving.collider.faces

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.polar import rotation_and_stretch
+from ..geometry.rotations import quaternions_from_matrices, rotation_and_stretch, slerp
 from ..scene.scene import MeshCollider
 
 
@@ -64,55 +64,11 @@ def box_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
 def poses_between(start: ColliderShape, end: ColliderShape, substeps: int) -> NDArray[np.float32]:
     """Poses from start to end: straight, at constant angular velocity; shape [S + 1, 7]."""
     fraction = np.linspace(0.0, 1.0, substeps + 1)[:, None]
-    first = _quaternion(start.rotation)
-    last = first if end.rotation is start.rotation else _quaternion(end.rotation)
-    cosine = float(first @ last)
-    if cosine < 0.0:
-        last, cosine = -last, -cosine
-    angle = np.arccos(min(cosine, 1.0))
-    if angle < 1e-6:
-        turn = first + (last - first) * fraction
-    else:
-        turn = (np.sin((1.0 - fraction) * angle) * first + np.sin(fraction * angle) * last) / (
-            np.sin(angle)
-        )
-    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    first = quaternions_from_matrices(start.rotation)
+    last = first if end.rotation is start.rotation else quaternions_from_matrices(end.rotation)
+    turn = slerp(first, last, fraction[:, 0])
     place = start.translation + (end.translation - start.translation) * fraction
     return np.concatenate([place, turn], axis=1).astype(np.float32)
-
-
-def rotation_vector(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Axis of a rotation matrix, as long as its angle [rad]."""
-    quaternion = _quaternion(rotation)
-    length = float(np.linalg.norm(quaternion[:3]))
-    if length < 1e-12:
-        return np.zeros(3)
-    angle = 2.0 * np.arctan2(length, abs(quaternion[3]))
-    return quaternion[:3] * (angle / length * (1.0 if quaternion[3] >= 0.0 else -1.0))
-
-
-def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit quaternion (x, y, z, w) of a rotation matrix, by its dominant component."""
-    m = rotation
-    squares = np.array(
-        [
-            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
-            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
-        ]
-    )
-    largest = int(np.argmax(squares))
-    rows = np.array(
-        [
-            [squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]],
-            [m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]],
-            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
-        ]
-    )
-    quaternion = rows[largest]
-    return quaternion / np.linalg.norm(quaternion)
 
 
 def box_diagonal(corners: NDArray[np.float64]) -> float:

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Contact and Coulomb friction between clay particles and planes or moving closed meshes.
 
-A particle is a ball of half the spacing. Contacts are found once a substep and then stay what
-they are, a plane each; how hard they push is part of the implicit solve. Friction holds a contact
-by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura, ICRA
-2006): a spring that slides where its force would exceed μ times the normal force. What lies inside
-a collider is moved out no faster than `DEPENETRATION_SPEED`.
+A particle is a ball whose radius is half the spacing. Contacts are found once per substep and then
+stay fixed, each as a plane; how hard they push is part of the implicit solve. Friction holds a
+contact by an anchor (Barreiro, Torres and Otaduy, WHC 2021, section III-D; Yamane and Nakamura,
+ICRA 2006): a spring that slides where its force would exceed μ times the normal force. Particles
+inside a collider are moved out no faster than `DEPENETRATION_SPEED`.
 
-A collider may be sticky, as a wheel head is to wet clay: what has touched it stays in contact
-until it is off by `MARGIN`, and is pulled back by as much as the adhesion bears. Friction grows
-with that as it does with a load (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53,
+A collider may be sticky, as a wheel head is to wet clay: a particle that has touched it stays in
+contact up to a distance of `MARGIN`, and is pulled back by at most the adhesion. Adhesion adds to
+friction as a load does (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53,
 1975).
 
-A soft surface, that of a hand, gives way to what presses it, but later and by a solve of its own.
-A contact with it is a spring in a row with the clay's: its far end is where the surface would be
-without the contact's force, which is the surface of now and what it has given way so far.
+A soft surface, that of a hand, yields to pressure, but later and in a separate solve. A contact
+with it is a spring in series with the clay's: its far end is where the surface would be without the
+contact's force, which is its current position with what it has given way so far undone.
 """
 
 import warp as wp
@@ -22,38 +22,38 @@ import warp as wp
 from ..core.awake import Awake, awake_particle
 
 DEPENETRATION_SPEED = 0.5
-"""Speed at which something that lies inside a collider is moved out [m/s]."""
-MOST_CONTACTS = 4
-"""Contacts that a particle can have at once."""
+"""Largest speed at which particles inside a collider are moved out [m/s]."""
+MAX_CONTACTS = 4
+"""Largest number of contacts of a particle."""
 MARGIN = 0.25
-"""Contacts are found this far off the surface, in spacings: a substep may close the gap."""
+"""Distance from the surface at which contacts are found, in spacings: a substep may close it."""
 CONTACT_STIFFNESS = 2.0
-"""Stiffness of a contact over that of the clay around the particle."""
+"""Stiffness of a contact, relative to that of the clay around the particle."""
 SOFT_DEPTH = 1.0
-"""From this depth on soft surfaces push as if they were rigid, in radii of a particle."""
+"""Depth beyond which soft surfaces push as if they were rigid, in radii of a particle."""
 STICKING = 1.0e-3
-"""A contact that sticks counts as loaded by at least this part of its adhesion."""
+"""Smallest load of a sticking contact, as a share of its adhesion."""
 UNKNOWN_SLIDE = 1.0e9
-"""The slip [m] that a new contact may assume."""
+"""Bound of the assumed slip for a new contact: none [m]."""
 
 
 @wp.struct
 class ContactPass:
-    """What all contacts share, for one substep."""
+    """Parameters of a substep that all contacts share."""
 
     time_step: float
     time_step_before: float
     radius: float
     """Radius of a particle [m]."""
     margin: float
-    """How far off contacts are found [m]."""
+    """Distance at which contacts are found [m]."""
     yielding: wp.vec2
-    """How far flesh and joints give way in this substep, of what forces ask for."""
+    """Shares of the way to equilibrium that flesh and joints cover in this substep."""
 
 
 @wp.struct
 class ContactSlots:
-    """Contacts of all particles, `MOST_CONTACTS` for each."""
+    """Contacts of all particles, `MAX_CONTACTS` for each."""
 
     count: wp.array[int]
     collider: wp.array2d[int]
@@ -61,44 +61,44 @@ class ContactSlots:
     gap: wp.array2d[float]
     """Distance between ball and surface at the start of the substep [m]."""
     surface_motion: wp.array2d[wp.vec3]
-    """What the surface moves in this substep [m]."""
+    """Motion of the surface in this substep [m]."""
     anchor: wp.array2d[wp.vec3]
     """Stretch of the friction spring [m]."""
     impulse: wp.array2d[wp.vec3]
-    """Impulse on the particle at the velocities last looked at [N s]."""
+    """Impulse on the particle at the velocities of the last evaluation [N s]."""
     normal_stiffness: wp.array2d[float]
     """[kg]: force derivative times Δt²."""
     friction_stiffness: wp.array2d[float]
-    """[kg]; less than the normal one where the contact slides."""
+    """[kg]; smaller than the normal stiffness if the contact slides."""
     stick_stiffness: wp.array2d[float]
     """The friction stiffness of a contact that does not slide [kg]."""
     count_before: wp.array[int]
     collider_before: wp.array2d[int]
     anchor_before: wp.array2d[wp.vec3]
     slide: wp.array2d[float]
-    """Slip that the first linearisation assumes at most [m]: that of the substep before. What
-    rides on a turning wheel has a velocity of the substep before, which would look like slip."""
+    """Largest slip that the first linearization assumes [m]: that of the previous substep. Clay on
+    a turning wheel still has the velocity of that substep, which would look like slip."""
     slide_before: wp.array2d[float]
     push: wp.array2d[float]
-    """Normal impulse that the last solve applied and adhesion's [N s], which limits friction."""
+    """Normal impulse of the last solve plus that of adhesion [N s], which limits friction."""
     push_before: wp.array2d[float]
     adhesion: wp.array[float]
-    """How hard each collider pulls on a particle that sticks to it [N]."""
+    """Force with which each collider pulls on a particle that sticks to it [N]."""
     recovery_speed: wp.array[float]
-    """How fast each collider moves out what lies inside it [m/s]."""
+    """Speed at which each collider moves particles out of itself [m/s]."""
     compliance: wp.array2d[wp.vec2]
-    """How much a soft surface gives to the contact across and along itself [m/N], 0 where it is
-    rigid. This and what follows has no rows where no collider is soft."""
+    """Compliance of a soft surface normal to and along itself [m/N], 0 if it is rigid. This array
+    and those below have no rows if no collider is soft."""
     borne: wp.array2d[wp.vec3]
-    """Part of the force on the particle that flesh has given way to by now [N]."""
+    """Part of the force on the particle that flesh has yielded to so far [N]."""
     borne_before: wp.array2d[wp.vec3]
     held: wp.array2d[wp.vec3]
-    """Part of it that joints have given way to [N]."""
+    """Part of it that joints have yielded to [N]."""
     held_before: wp.array2d[wp.vec3]
     lean: wp.array2d[wp.vec3]
-    """What both have given way [m]."""
+    """How far both have given way [m]."""
     face: wp.array2d[int]
-    """Where the contact is on a soft surface, and at what barycentric coordinates."""
+    """Face of the contact on a soft surface; ``place`` has the barycentric coordinates."""
     place: wp.array2d[wp.vec2]
 
 
@@ -126,7 +126,7 @@ def press_contacts(
 
     A contact pushes with a stiffness times its penetration, tangentially with that stiffness
     times the slip of its anchor, but at most μ times the normal impulse that the last solve
-    applied: the penetration of a velocity not yet solved for would promise a far larger one.
+    applied: the penetration at a velocity not yet solved for would allow a far larger one.
     """
     dt = common.time_step
     block = wp.identity(n=3, dtype=float) * mass[material[i]]
@@ -152,11 +152,11 @@ def press_contacts(
             lean = wp.vec3()
             beyond = float(0.0)
             if i < slots.compliance.shape[0]:
-                # The surface gives by what the force changes: the two are springs in a row, and
-                # the far end is where the surface would be without the force.
+                # The surface yields as the force changes: the two are springs in series, and the
+                # far end is where the surface would be without the force.
                 lean = slots.lean[i, k]
                 depth += wp.dot(lean, n)
-                # Farther in than flesh can give way in time it is like bone: nothing gets through.
+                # Deeper than flesh can give way in time it is like bone: nothing gets through.
                 inner = gap + SOFT_DEPTH * common.radius
                 allowed = wp.min(inner + wp.min(speed, DEPENETRATION_SPEED) * dt, 0.0)
                 beyond = allowed - inner - wp.dot(relative, n)
@@ -242,7 +242,7 @@ def settle_contacts(
 ) -> None:
     """Sum the impulses that the solve applied, and let anchors stretch or slide.
 
-    The impulse is the linear one that the solve saw: what momentum really changed by.
+    The impulse is the linearized one of the solve, by which momentum really changed.
     """
     dt = common.time_step
     for k in range(slots.count[i]):
@@ -267,8 +267,8 @@ def settle_contacts(
             hold = slots.adhesion[slots.collider[i, k]] * dt
             load = wp.max(wp.dot(applied, n) + hold, STICKING * hold)
             limit = friction[material[i], slots.collider[i, k]] * load
-            most = limit * dt / slots.stick_stiffness[i, k]
-            held_slip = slip * wp.min(1.0, most / wp.max(slip_length, 1.0e-12))
+            max_slip = limit * dt / slots.stick_stiffness[i, k]
+            held_slip = slip * wp.min(1.0, max_slip / wp.max(slip_length, 1.0e-12))
             slots.anchor[i, k] = held_slip + tangential(lean, n)
             slots.slide[i, k] = slip_length
             slots.push[i, k] = load
@@ -304,9 +304,9 @@ def rest_contacts(
     slots: ContactSlots,
     force: wp.array[wp.vec3d],
 ) -> None:
-    """Keep the forces with which particles that fall asleep lie on colliders.
+    """Keep the forces of particles that fall asleep on colliders.
 
-    While they sleep, their slots hold forces [N] in place of impulses.
+    While they sleep, their slots hold forces [N] instead of impulses.
     """
     i = resting[wp.tid()]
     for k in range(slots.count[i]):
@@ -322,10 +322,10 @@ def wake_contacts(
     clearance: wp.array2d[float],
     force: wp.array[wp.vec3d],
 ) -> None:
-    """Let go of those forces; where colliders are now must be looked up."""
+    """Release those forces; contacts must be searched again."""
     i = woken[wp.tid()]
     for k in range(slots.count[i]):
         wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))
         slots.impulse[i, k] = slots.impulse[i, k] * time_step
-    for which in range(clearance.shape[0]):
-        clearance[which, i] = 0.0
+    for mesh in range(clearance.shape[0]):
+        clearance[mesh, i] = 0.0

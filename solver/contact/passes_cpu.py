@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The passes over contacts for the CPU: most particles touch nothing and are passed by.
+"""The passes over contacts for the CPU, which skip the many particles that touch nothing.
 
-A block of particles is screened for those near a collider; the contact law itself is
-`contact_law`'s. A test holds the screening to `contact_search.comes_near`.
+A block of particles is screened for those near a collider; the contact law itself is that of `law`.
+A test compares the screening with `search.comes_near`.
 """
 
 import warp as wp
@@ -20,13 +20,13 @@ class Near:
     """Particles that may touch something in this substep."""
 
     count: wp.array[int]
-    """How many, in each block."""
+    """Number of them in each block."""
     index: wp.array[int]
-    """Those of a block stand together, a block's length from those of the next."""
+    """Their indices; those of block b begin at b times the block length."""
 
 
 def make_near(particle_count: int, device: wp.Device) -> Near:
-    """Room for all particles."""
+    """Lists with room for all particles."""
     blocks = (particle_count + BLOCK - 1) // BLOCK
     near = Near()
     near.count = wp.zeros(blocks, dtype=int, device=device)
@@ -48,18 +48,18 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
         const f4 turned = cross(axis, offset) * 2.f;
         return offset + turned * pose[6] + cross(axis, turned);
     };
-    auto motion_past = [&](int which, int number, f4 start, f4 end)
+    auto motion_past = [&](int mesh, int number, f4 start, f4 end)
         __attribute__((always_inline)) {
         f4 motion = end - start;
-        if (around.turning.data[which]) {
+        if (around.turning.data[mesh]) {
             const float* poses = (const float*)((const char*)around.pose.data
-                + which * (long long)around.pose.strides[0]);
-            const float* before = number < 0 ? (const float*)(around.pose_before.data + which)
+                + mesh * (long long)around.pose.strides[0]);
+            const float* before = number < 0 ? (const float*)(around.pose_before.data + mesh)
                 : poses + 7 * number;
             motion = seen_from(poses + 7 * (number + 1), end) - seen_from(before, start);
         }
         motion *= motion;
-        return __builtin_sqrtf(motion.x + motion.y + motion.z) + around.travel.data[which];
+        return __builtin_sqrtf(motion.x + motion.y + motion.z) + around.travel.data[mesh];
     };
     int found = 0;
 """,
@@ -75,10 +75,10 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
         comes |= gap - (closing > 0.f ? closing : 0.f) < reach;
     }
     const f4 place = load3(x), velocity_now = load3(v);
-    for (int which = 0; which < meshes; which++) {
-        float* clearance = around.clearance.data + which * pitch + i;
-        *clearance -= motion_past(which, substep - 1, place - velocity_now * dt_before, place);
-        const float coming = motion_past(which, substep, place, place + velocity_now * dt);
+    for (int mesh = 0; mesh < meshes; mesh++) {
+        float* clearance = around.clearance.data + mesh * pitch + i;
+        *clearance -= motion_past(mesh, substep - 1, place - velocity_now * dt_before, place);
+        const float coming = motion_past(mesh, substep, place, place + velocity_now * dt);
         comes |= *clearance - coming <= reach;
     }
     if (comes) near.index.data[begin + found++] = i;
@@ -111,7 +111,7 @@ def find_all_contacts(
     slots: ContactSlots,
     near: Near,
 ) -> None:
-    """`contact_search.find_all_contacts`."""
+    """`search.find_all_contacts`."""
     block = wp.tid()
     found = screen_block(block, awake, common, around, position, velocity, slots, near)
     for k in range(found):
@@ -133,7 +133,7 @@ def press_all_contacts(
     own_block: wp.array[wp.mat33],
     near: Near,
 ) -> None:
-    """`contact_law.press_all_contacts`."""
+    """`law.press_all_contacts`."""
     block = wp.tid()
     for k in range(near.count[block]):
         i = near.index[block * BLOCK + k]
@@ -165,7 +165,7 @@ def settle_all_contacts(
     deepest: wp.array[float],
     near: Near,
 ) -> None:
-    """`contact_law.settle_all_contacts`."""
+    """`law.settle_all_contacts`."""
     block = wp.tid()
     for k in range(near.count[block]):
         i = near.index[block * BLOCK + k]

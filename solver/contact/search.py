@@ -4,7 +4,7 @@
 import warp as wp
 
 from ..core.awake import Awake, awake_particle
-from .law import MOST_CONTACTS, UNKNOWN_SLIDE, ContactPass, ContactSlots
+from .law import MAX_CONTACTS, UNKNOWN_SLIDE, ContactPass, ContactSlots
 
 
 @wp.func
@@ -20,9 +20,9 @@ def add_contact(
     face: int,
     place: wp.vec2,
 ) -> None:
-    """Give a particle a contact, with the anchor that it had on this collider before."""
+    """Add a contact to a particle, with the anchor that it already had on this collider."""
     used = slots.count[i]
-    if used < MOST_CONTACTS:
+    if used < MAX_CONTACTS:
         slots.collider[i, used] = collider
         slots.normal[i, used] = normal
         slots.gap[i, used] = gap
@@ -67,46 +67,46 @@ class Surroundings:
     plane_normal: wp.array[wp.vec3]
     mesh: wp.array[wp.uint64]
     pose: wp.array2d[wp.transform]
-    """Of each mesh, by substep."""
+    """Pose of each mesh at the start of each substep, and at the end of the last."""
     substep: wp.array[int]
-    """Which of a step's substeps is under way; on the device, so that it can be recorded."""
+    """Index of the current substep; on the device, so that passes can be recorded."""
     reach: wp.array[float]
-    """How far off a mesh is looked for [m]."""
+    """Search distance of each mesh [m]."""
     pose_before: wp.array[wp.transform]
-    """Of each mesh, a substep before the first of `pose`."""
+    """Pose of each mesh one substep before the first of `pose`."""
     turning: wp.array[int]
-    """1 for a mesh that turns in this step or did in the last."""
+    """1 for a mesh that turns in this step or turned in the last."""
     travel: wp.array[float]
-    """What each mesh moves in a substep at most [m]; of a turning one, its change of shape only."""
+    """Largest motion of each mesh in a substep [m]; for a turning one only its change of shape."""
     clearance: wp.array2d[float]
-    """By mesh and particle: a lower bound on their distance [m]. While motion cannot have used it
-    up, the mesh is not asked."""
+    """Lower bound of the distance of each particle from each mesh [m], by mesh and particle. Until
+    motion can have used it up, the mesh is not queried."""
     first_face: wp.array[int]
-    """Where the faces of each mesh begin in ``compliance``; -1 where it is rigid."""
+    """Index of each mesh's first face in ``compliance``; -1 for a rigid mesh."""
     compliance: wp.array[wp.vec4]
-    """How much flesh gives to a contact at each face of soft meshes, across and along it, and how
-    much joints do [m/N]."""
+    """Compliance of each face of soft meshes [m/N]: flesh normal to and along it, then joints
+    likewise."""
 
 
 @wp.func
 def motion_past(
-    around: Surroundings, which: int, substep: int, start: wp.vec3, end: wp.vec3
+    around: Surroundings, mesh: int, substep: int, start: wp.vec3, end: wp.vec3
 ) -> float:
-    """How far a point moves past a mesh in a substep at most [m].
+    """Largest motion of a point relative to a mesh in a substep [m].
 
-    Past one that turns it is measured where it is: clay on a wheel does not move past that.
+    For a turning mesh it is measured in the mesh's frame, where clay on a wheel does not move.
     """
     motion = wp.length(end - start)
-    if around.turning[which] == 1:
-        before = around.pose_before[which]
+    if around.turning[mesh] == 1:
+        before = around.pose_before[mesh]
         if substep >= 0:
-            before = around.pose[which, substep]
-        after = around.pose[which, substep + 1]
+            before = around.pose[mesh, substep]
+        after = around.pose[mesh, substep + 1]
         motion = wp.length(
             wp.transform_point(wp.transform_inverse(after), end)
             - wp.transform_point(wp.transform_inverse(before), start)
         )
-    return motion + around.travel[which]
+    return motion + around.travel[mesh]
 
 
 @wp.func
@@ -131,11 +131,11 @@ def comes_near(
         closing = wp.max(-wp.dot(v, normal), 0.0) * common.time_step
         if gap - closing < common.margin:
             near = True
-    for which in range(around.mesh.shape[0]):
+    for mesh in range(around.mesh.shape[0]):
         before = x - v * common.time_step_before
-        bound = around.clearance[which, i] - motion_past(around, which, substep - 1, before, x)
-        around.clearance[which, i] = bound
-        coming = motion_past(around, which, substep, x, x + v * common.time_step)
+        bound = around.clearance[mesh, i] - motion_past(around, mesh, substep - 1, before, x)
+        around.clearance[mesh, i] = bound
+        coming = motion_past(around, mesh, substep, x, x + v * common.time_step)
         if bound - coming <= common.radius + common.margin:
             near = True
     return near
@@ -168,44 +168,44 @@ def find_contacts(
     motion = velocity[i] * common.time_step
     near = common.radius + common.margin
     plane_count = around.plane_point.shape[0]
-    for which in range(around.mesh.shape[0]):
-        coming = motion_past(around, which, around.substep[0], x, x + motion)
-        bound = around.clearance[which, i] - coming
+    for mesh in range(around.mesh.shape[0]):
+        coming = motion_past(around, mesh, around.substep[0], x, x + motion)
+        bound = around.clearance[mesh, i] - coming
         if bound > near:
             continue
-        before = around.pose[which, around.substep[0]]
-        after = around.pose[which, around.substep[0] + 1]
+        before = around.pose[mesh, around.substep[0]]
+        after = around.pose[mesh, around.substep[0] + 1]
         local = wp.transform_point(wp.transform_inverse(after), x + motion)
         # While motion cannot have used up a positive clearance, the particle is outside: no need
         # to find the sign, which costs several times as much as the nearest point.
         sign = float(1.0)
-        reach = around.reach[which]
+        reach = around.reach[mesh]
         if bound > 0.0:
             reach = wp.min(reach, 4.0 * near)
-            query = wp.mesh_query_point_no_sign(around.mesh[which], local, reach)
-        elif around.first_face[which] >= 0:
-            # Winding numbers of a mesh that deforms all the time cost more than the rest of it.
-            query = wp.mesh_query_point_sign_normal(around.mesh[which], local, reach)
+            query = wp.mesh_query_point_no_sign(around.mesh[mesh], local, reach)
+        elif around.first_face[mesh] >= 0:
+            # For a mesh that deforms all the time, winding numbers would cost more than all else.
+            query = wp.mesh_query_point_sign_normal(around.mesh[mesh], local, reach)
             sign = query.sign
         else:
-            query = wp.mesh_query_point_sign_winding_number(around.mesh[which], local, reach)
+            query = wp.mesh_query_point_sign_winding_number(around.mesh[mesh], local, reach)
             sign = query.sign
         if not query.result:
-            around.clearance[which, i] = reach - coming
+            around.clearance[mesh, i] = reach - coming
             continue
-        nearest = wp.mesh_eval_position(around.mesh[which], query.face, query.u, query.v)
+        nearest = wp.mesh_eval_position(around.mesh[mesh], query.face, query.u, query.v)
         offset = local - nearest
         apart = wp.length(offset)
-        around.clearance[which, i] = sign * apart - coming
+        around.clearance[mesh, i] = sign * apart - coming
         if sign * apart < near:
             if apart > 1.0e-4 * common.radius:
                 normal = offset * (sign / apart)
             else:
-                normal = wp.mesh_eval_face_normal(around.mesh[which], query.face)
+                normal = wp.mesh_eval_face_normal(around.mesh[mesh], query.face)
             normal = wp.transform_vector(after, normal)
-            drift = wp.mesh_eval_velocity(around.mesh[which], query.face, query.u, query.v)
-            # Of what is now where the particle is: where that will be is but a guess, and clay on a
-            # wheel would creep by half the square of the angle.
+            drift = wp.mesh_eval_velocity(around.mesh[mesh], query.face, query.u, query.v)
+            # Motion of the material at the particle's current position: its next position is only a
+            # guess, with which clay on a wheel would creep by half the square of the angle.
             carried = wp.transform_point(wp.transform_inverse(before), x)
             surface_motion = (
                 wp.transform_point(after, carried)
@@ -217,13 +217,13 @@ def find_contacts(
                 wp.transform_get_rotation(before)
             )
             compliance = wp.vec4()
-            if around.first_face[which] >= 0:
-                compliance = around.compliance[around.first_face[which] + query.face]
+            if around.first_face[mesh] >= 0:
+                compliance = around.compliance[around.first_face[mesh] + query.face]
             place = wp.vec2(query.u, query.v)
             add_contact(
                 slots,
                 i,
-                plane_count + which,
+                plane_count + mesh,
                 normal,
                 gap,
                 surface_motion,

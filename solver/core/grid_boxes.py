@@ -6,9 +6,10 @@ import warp as wp
 
 @wp.func
 def box_of(position: wp.vec3, low: wp.vec3, inverse_edge: wp.vec3, counts: wp.vec3i) -> wp.vec3i:
-    """Place of a point's box along each axis; what lies outside belongs to an outermost box.
+    """Index of a point's box along each axis; points outside the grid belong to the outermost
+    boxes.
 
-    By rounding the lowest and the highest point may lie outside the grid that was laid over them.
+    Rounding may put the lowest and highest points outside the grid that was laid over them.
 
     Args:
         position: The point [m].

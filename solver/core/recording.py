@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Recording passes once and replaying them: launching from Python costs more than a small pass.
 
-On a CPU with two processors each part of the particles is recorded for itself, and the two are
-replayed side by side: after each pass the threads wait for each other. Both parts' sums are kept
-apart and added in the same order whoever does the work, so the result is the same to the last bit.
+On a CPU with two processors each half of the particles is recorded separately, and the two are
+replayed side by side; the threads wait for each other after each pass. The sums of both halves are
+kept apart and added in a fixed order, so the result is the same to the last bit with one thread.
 """
 
 import math
@@ -16,28 +16,28 @@ from .particles import Particles
 from .recording_lock import recording_lock
 from .threads import helper_thread, processor_count
 
-MOST_RECORDINGS = 64
-"""Recordings kept; the oldest goes first."""
+MAX_RECORDINGS = 64
+"""Largest number of recordings; the oldest is dropped first."""
 TRIAL_START = 24
-"""Replays of a recording before both ways are tried: many recordings are not used that often."""
+"""Replays of a recording before one and two threads are timed: many are used less often."""
 TRIAL_RUNS = 6
-"""How often a recording is tried by one thread and by two, to see which is faster."""
+"""Replays that are timed with one thread and with two, to find the faster."""
 TRIAL_INTERVAL = 400
-"""Replays after which both are tried again."""
+"""Replays after which both are timed again."""
 
 
 _Record = Callable[[Callable[[], None], int | None], wp.Graph]
 
 
 class _Recording:
-    """One sequence, to be replayed by one thread or by two, whichever is faster here and now.
+    """One sequence of passes, replayed by one thread or by two, whichever is faster at present.
 
-    A second processor that others keep busy makes two threads slower than one. Each way is recorded
-    when it is first gone: recording costs more than launching.
+    Two threads are slower than one if other programs keep the second processor busy. Each variant
+    is recorded when it is first used, because recording costs more than launching.
 
     Args:
-        record: Records what a function launches, for a part alone or for all.
-        way: Threads less one to begin with; None where there is only one.
+        record: Records what a function launches, for one part or for all.
+        way: Number of extra threads to start with; None if there is only one.
     """
 
     def __init__(self, record: _Record, way: int | None) -> None:
@@ -53,11 +53,11 @@ class _Recording:
         return self._graphs[part]
 
     def replay(self, launch: Callable[[], None]) -> None:
-        """Do what ``launch`` launches."""
+        """Run what ``launch`` launches."""
         if self.way is None:
             wp.capture_launch(self._graph(None, launch))
             return
-        # Now and then both ways are tried: others may have come or gone.
+        # Now and then both are timed again: the load of the machine may have changed.
         trial = (self._runs - TRIAL_START) % TRIAL_INTERVAL
         tries = self._runs >= TRIAL_START and trial < 2 * TRIAL_RUNS
         if trial == 0:
@@ -79,14 +79,14 @@ class _Recording:
 
 
 class Recordings:
-    """Runs sequences of kernel launches, recording each the first time it is seen.
+    """Runs sequences of kernel launches, recording each the second time it is seen.
 
-    Everything that a sequence launches with is recorded as it is: arrays by address, numbers by
-    value. The key must tell apart whatever can differ.
+    Recordings hold arrays by address and numbers by value, so the key must contain everything that
+    can differ.
 
     Args:
-        particles: Whose passes are recorded.
-        by_part: Whether the passes are those of the particles, which threads can share.
+        particles: The particles that the passes work on.
+        by_part: Whether the passes go over the particles, so that threads can share them.
     """
 
     def __init__(self, particles: Particles, *, by_part: bool = True) -> None:
@@ -97,20 +97,20 @@ class Recordings:
         self._seen: set[Hashable] = set()
 
     def run(self, key: Hashable, launch: Callable[[], None]) -> None:
-        """Do what ``launch`` launches, by replay where the key is known."""
+        """Run what ``launch`` launches, by replay if the key is known."""
         recording = self._recordings.get(key)
         if recording is None:
-            # The first time runs plainly: it loads modules, and steps of a length seen only once
-            # are not worth recording.
+            # The first time is launched: that loads modules, and a step length that occurs only
+            # once is not worth recording.
             if key not in self._seen:
                 self._seen.add(key)
                 launch()
                 return
-            if len(self._recordings) >= MOST_RECORDINGS:
+            if len(self._recordings) >= MAX_RECORDINGS:
                 del self._recordings[next(iter(self._recordings))]
             recording = self._recordings[key] = _Recording(self._record, self._way)
         recording.replay(launch)
-        # What is recorded next begins with what has been found to be faster.
+        # The next recording starts with the variant that proved faster.
         self._way = recording.way
 
     def _record(self, launch: Callable[[], None], part: int | None) -> wp.Graph:
@@ -123,6 +123,6 @@ class Recordings:
         return capture.graph
 
     def clear(self) -> None:
-        """Forget all recordings, when arrays that they use go away."""
+        """Forget all recordings, when arrays that they use are replaced."""
         self._recordings.clear()
         self._seen.clear()

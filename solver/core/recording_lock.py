@@ -1,11 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keeps threads apart while one records.
+"""Keeps other threads out of Warp while one records.
 
-On a CPU, Warp records whatever any thread launches or allocates while passes are recorded. So that
-holds the lock, and whoever may use Warp beside a solver that steps on another thread holds it too.
+On a CPU, Warp keeps one capture for the whole process (1.19: ``runtime._apic_capture``). What other
+threads launch, allocate or copy meanwhile runs at once and is not replayed, but it passes through
+the books of that capture, which the recording thread frees when it ends. Without the lock that is a
+use after free: a few hundred recordings beside a thread that launches small kernels crash the
+process, or raise errors about missing attributes in either thread. Replaying beside a recording is
+safe.
+
+So `Recordings` holds the lock while it records, which takes milliseconds, and everything that uses
+Warp on another thread than the solver's holds it too: filling meshes, binding hands, surfaces. A
+solver itself steps without it; only one may step at a time.
 """
 
 import threading
 
 recording_lock = threading.RLock()
-"""Held while passes are recorded, and while kernels run beside a solver."""
+"""Held while passes are recorded, and while Warp is used beside a solver on another thread."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Regions of clay that fall asleep when they have come to rest, and wake when they are disturbed.
+"""Regions of clay that fall asleep when they come to rest, and wake when they are disturbed.
 
-Clay that sleeps keeps its place, its bonds and the force with which it lies on colliders, and
-holds its awake neighbours like a wall: a poke into much clay costs what the poked part costs.
+Sleeping clay keeps its position, its bonds and its force on colliders, and holds its awake
+neighbors like a wall: poking a large piece of clay costs only as much as the part that is poked.
 """
 
 import numpy as np
@@ -15,15 +15,15 @@ from .grid_boxes import box_of
 from .particles import ByPart, Particles
 
 EDGE = 4.0
-"""Edge of a region, in spacings: half of that costs more to keep account of than it saves."""
+"""Edge of a region, in spacings: managing regions of half the size costs more than it saves."""
 SLEEP_SPEED = 0.002
-"""What is slower than this has come to rest, in spacings a second."""
+"""Clay slower than this counts as at rest, in spacings per second."""
 SLEEP_DELAY = 0.25
-"""How long a region must have been at rest to fall asleep [s]."""
+"""Time that a region must be at rest before it falls asleep [s]."""
 RELAY_TRAVEL = 2.0
-"""Regions are laid anew when something may have moved this far, in spacings."""
+"""Regions are laid out again when clay may have moved this far, in spacings."""
 WAKE_TRAVEL = 0.1
-"""A region wakes those around it when it may have moved this far, in spacings."""
+"""A region wakes its neighbors when its clay may have moved this far, in spacings."""
 _REGION_LIMIT = 1 << 15
 
 
@@ -49,7 +49,7 @@ def measure_regions(
     region: wp.array[int],
     measures: wp.array2d[float],
 ) -> None:
-    """Find the box and the highest speed of what is awake in each region.
+    """Find the bounding box and the highest speed of awake particles in each region.
 
     A row of ``measures`` holds highest corner, negated lowest corner, and squared speed.
     """
@@ -68,7 +68,7 @@ def measure_regions(
 def measure_boxes(
     position: wp.array[wp.vec3], region: wp.array[int], measures: wp.array3d[float]
 ) -> None:
-    """Find the box of all particles in each region."""
+    """Find the bounding box of all particles in each region."""
     i = wp.tid()
     x = position[i]
     for axis in range(3):
@@ -81,7 +81,7 @@ class Regions:
 
     Args:
         particles: The clay.
-        sleeping: Whether anything may fall asleep at all.
+        sleeping: Whether clay may fall asleep at all.
     """
 
     def __init__(self, particles: Particles, *, sleeping: bool) -> None:
@@ -91,20 +91,20 @@ class Regions:
         self.region = wp.zeros(particles.count, dtype=int, device=device)
         self._awake = np.ones(particles.count, bool)
         self.generation = 0
-        """Changes whenever regions are laid out anew, fall asleep or wake."""
+        """Changes whenever regions are laid out again, fall asleep or wake."""
         self.lay_out()
 
     @property
     def outgrown(self) -> bool:
-        """Whether clay may have moved so far that regions should be laid out anew."""
+        """Whether clay may have moved so far that regions should be laid out again."""
         return self._way > RELAY_TRAVEL * self.particles.spacing
 
     def lay_out(self) -> NDArray[np.int64]:
         """Lay a grid of regions over the clay.
 
         Returns:
-            Indices of particles that sleep, but now share a region with some that do not: they
-            must wake before `set_asleep`.
+            Indices of sleeping particles that now share a region with awake ones: they must wake
+            before `set_asleep`.
         """
         particles = self.particles
         self.generation += 1
@@ -138,7 +138,7 @@ class Regions:
         return wp.zeros(shape, dtype=float, device=self.particles.device)
 
     def _measure_sleeping(self) -> None:
-        """Measure the boxes of regions that sleep: nothing in them moves."""
+        """Measure the bounding boxes of sleeping regions, in which nothing moves."""
         self.boxes[:, 0], self.boxes[:, 1] = np.inf, -np.inf
         if self.asleep.any():
             self.measures.fill_(-np.inf)
@@ -160,7 +160,7 @@ class Regions:
         return np.stack([self.boxes[:, 0].min(0), self.boxes[:, 1].max(0)])
 
     def measure(self, duration: float) -> None:
-        """Measure boxes and speeds of what is awake, after a step of ``duration`` [s]."""
+        """Measure boxes and speeds of awake particles, after a step of ``duration`` [s]."""
         if not self.particles.count:
             return
         self.measures.fill_(-np.inf)
@@ -182,7 +182,7 @@ class Regions:
         self._way += self.fastest * duration
 
     def doze(self, duration: float) -> NDArray[np.bool_]:
-        """Note what has been at rest, after a step of ``duration`` [s].
+        """Update how long regions have been at rest, after a step of ``duration`` [s].
 
         Returns:
             The regions that should fall asleep now.
@@ -193,7 +193,7 @@ class Regions:
         self.travel += self.speed * duration
         if not self.sleeping:
             return np.zeros_like(self.asleep)
-        # Beside moving clay it would only wake again.
+        # A region beside moving clay would only wake again.
         calm = ~self._spread(~at_rest & ~self.asleep)
         return ~self.asleep & calm & (self.quiet > SLEEP_DELAY)
 
@@ -203,8 +203,8 @@ class Regions:
         """Find the regions that must wake before the next step.
 
         Args:
-            boxes: Swept by colliders that move, shape [2, 3] each [m].
-            unheld: Regions that nothing holds any more, shape [R].
+            boxes: Boxes swept by moving colliders, shape [2, 3] each [m].
+            unheld: Whether nothing holds a region any more, shape [R].
         """
         moved = self.travel > WAKE_TRAVEL * self.particles.spacing
         wake = self._spread(moved) | unheld
@@ -218,7 +218,7 @@ class Regions:
         return wake
 
     def _spread(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Choose the regions around those chosen, too."""
+        """Add the neighbors of the chosen regions."""
         grown = chosen.reshape(self.shape)
         for axis in range(3):
             along = np.moveaxis(grown.copy(), axis, 0)
@@ -233,10 +233,10 @@ class Regions:
         return np.flatnonzero(chosen[self.region.numpy()])
 
     def set_asleep(self, asleep: NDArray[np.bool_]) -> None:
-        """Let regions sleep or wake.
+        """Put regions to sleep or wake them.
 
         Args:
-            asleep: Which regions sleep from now on, shape [R].
+            asleep: Whether each region sleeps from now on, shape [R].
         """
         self.travel[asleep] = 0.0
         self.speed[asleep] = 0.0
@@ -253,7 +253,7 @@ class Regions:
             self.particles.awake_box = np.stack([low, high])
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Who sleeps, and how the regions lie."""
+        """Which particles sleep, and the layout of the regions."""
         return {
             "region_awake": self._awake.copy(),
             "region_of_particle": self.region.numpy().copy(),
@@ -267,7 +267,7 @@ class Regions:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         self.generation += 1
         self._awake = state["region_awake"].copy()
         self.region.assign(state["region_of_particle"])

@@ -1,5 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The second thread that passes of the CPU are shared with."""
+"""The threads of the solver.
+
+- The caller's owns the scene and the solver: it adds, steps and reads. Any thread may be the
+  caller, one at a time; the add-on's live session has a worker for it.
+- ``clay``, the helper, does the second half of the particles in passes that can be shared, while
+  the caller does the first half in a step and waits for it. It owns nothing. There is one for the
+  process, started by the first step that shares; between steps it waits for work, and it ends with
+  the interpreter. Within recorded passes the two wait for each other in native code
+  (`particles_cpu.wait_for_others`).
+
+Other threads that use Warp beside a step hold `recording_lock`.
+"""
 
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -8,12 +19,12 @@ from functools import cache
 
 @cache
 def helper_thread() -> ThreadPoolExecutor:
-    """The thread that works beside the caller's."""
+    """The thread that works beside the caller's, started on first use."""
     return ThreadPoolExecutor(1, thread_name_prefix="clay")
 
 
 def processor_count() -> int:
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

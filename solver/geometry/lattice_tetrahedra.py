@@ -29,16 +29,16 @@ class Tetrahedra:
 def lattice_tetrahedra(
     low: NDArray[np.float64], cells: NDArray[np.bool_], cell: float
 ) -> Tetrahedra:
-    """Tetrahedra of the lattice that have their middle edge's half in a marked cell.
+    """Tetrahedra of the lattice that overlap marked cells.
 
     Args:
         low: Lowest corner of cell (0, 0, 0) [m], shape [3].
-        cells: Which cubic cells are to be covered, shape [X, Y, Z].
+        cells: Which cubic cells to cover, shape [X, Y, Z].
         cell: Edge of a cell [m].
 
     Returns:
-        Every tetrahedron that has a part in a marked cell. Each spans two neighbouring cells: the
-        middles of both and an edge of the face between them.
+        Every tetrahedron that overlaps a marked cell. Each spans two neighboring cells: the
+        centers of both and an edge of the face between them.
     """
     marked = np.pad(cells, 1)
     found = []
@@ -74,7 +74,7 @@ def tetrahedron_volumes(
 def tetrahedron_qualities(
     points: NDArray[np.float64], corners: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Mean ratio of each, 1 for a regular one, 0 for a flat and negative for an inverted, [T].
+    """Mean ratio of each: 1 if regular, 0 if flat, negative if inverted, shape [T].
 
     Liu and Joe, "Relationship between tetrahedron shape measures", BIT 34, 1994,
     10.1007/BF01955874.
@@ -116,7 +116,7 @@ def find_carriers(
     carrier: wp.array[int],
     inside: wp.array[float],
 ) -> None:
-    """Find the tetrahedron that a point lies deepest in, of its own groups, the first preferred."""
+    """Find the tetrahedron of two groups that each point lies deepest in, preferring the first."""
     i = wp.tid()
     x = point[i]
     reach = wp.vec3(margin, margin, margin)
@@ -132,7 +132,7 @@ def find_carriers(
             )
             w = turn * (x - a)
             least = wp.min(wp.min(w[0], w[1]), wp.min(w[2], 1.0 - w[0] - w[1] - w[2]))
-            # Being well inside is no better than being just inside; then the own group decides.
+            # Being well inside is no better than being just inside, so that the group decides.
             least = wp.min(least, 0.0)
             if group[t] == second_group[i]:
                 least -= 0.02
@@ -154,14 +154,14 @@ def carriers(
 
     Args:
         points: Points [m], shape [N, 3].
-        tetrahedra: Where to look.
+        tetrahedra: The tetrahedra to choose from.
         groups: Group of each tetrahedron, shape [T].
         wanted: The two groups that may carry each point, the preferred first, shape [N, 2].
-        margin: How far outside of a tetrahedron a point may be [m].
+        margin: How far outside a tetrahedron a point may be [m].
 
     Returns:
-        Index of the tetrahedron, -1 where none is within the margin, shape [N]; and the least
-        barycentric coordinate there if that is negative, else zero, shape [N].
+        Index of the tetrahedron, -1 if none is within the margin, shape [N]; and the smallest
+        barycentric coordinate in it, at most zero, shape [N].
     """
     middle = points.mean(axis=0)
     place = (tetrahedra.points[tetrahedra.corners] - middle).astype(np.float32)

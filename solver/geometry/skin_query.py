@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where points lie against a closed skin: how deep, and nearest to what."""
+"""Depth of points under a closed skin, and the nearest skin."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class NearestSkin:
 def find_nearest(
     mesh: wp.uint64,
     point: wp.array[wp.vec3],
-    farthest: float,
+    max_distance: float,
     depth: wp.array[float],
     face: wp.array[int],
     vertex: wp.array[int],
     place: wp.array[wp.vec3],
 ) -> None:
-    """Find the nearest skin to each point, and by its normal which side the point is on."""
+    """Find the nearest skin to each point; its normal tells which side the point is on."""
     i = wp.tid()
-    query = wp.mesh_query_point_sign_normal(mesh, point[i], farthest)
+    query = wp.mesh_query_point_sign_normal(mesh, point[i], max_distance)
     nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
     w = 1.0 - query.u - query.v
     corner = int(2)
@@ -53,11 +53,11 @@ def find_nearest(
 
 
 class SkinQuery:
-    """A skin to ask about points; it need not be closed where only distances matter.
+    """A skin to query about points; it need not be closed if only distances matter.
 
-    Which side a point is on is told by the nearest skin alone (Baerentzen and Aanaes, "Signed
-    distance computation using the angle weighted pseudonormal", 2005, 10.1109/TVCG.2005.49): at a
-    fifth of the winding number's cost the same, but where the skin runs through itself.
+    The nearest skin alone decides which side a point is on (Baerentzen and Aanaes, "Signed distance
+    computation using the angle weighted pseudonormal", 2005, 10.1109/TVCG.2005.49). That costs a
+    fifth of winding numbers and gives the same, except where the skin intersects itself.
 
     Args:
         vertices: Corners [m], shape [V, 3].
@@ -65,7 +65,7 @@ class SkinQuery:
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-        # About the middle, where float32 resolves best.
+        # Centered, where float32 resolves best.
         self.middle = 0.5 * (vertices.min(0) + vertices.max(0))
         self.extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
         with recording_lock:
@@ -86,14 +86,14 @@ class SkinQuery:
         vertex = wp.empty(count, dtype=int, device="cpu")
         place = wp.empty(count, dtype=wp.vec3, device="cpu")
         local = points - self.middle
-        farthest = self.extent + float(np.linalg.norm(local, axis=1).max(initial=0.0))
+        max_distance = self.extent + float(np.linalg.norm(local, axis=1).max(initial=0.0))
         wp.launch(
             find_nearest,
             dim=count,
             inputs=[
                 self.mesh.id,
                 wp.array(local, dtype=wp.vec3, device="cpu"),
-                farthest,
+                max_distance,
                 depth,
                 face,
                 vertex,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh of the zero set of a signed distance: a surface net, evened out along the surface.
+"""A mesh of the zero set of a signed distance: a surface net, smoothed along the surface.
 
 Dual to a grid: one vertex in every cell that the surface cuts, one quad around every grid edge that
 it crosses (Gibson, "Constrained Elastic Surface Nets", MICCAI 1998, 10.1007/BFb0056277). The net is
@@ -17,14 +17,14 @@ Array = NDArray[np.float64]
 def _sample(
     distance: Callable[[Array], Array], low: Array, high: Array, cell: float
 ) -> tuple[Array, Array]:
-    """Sample a signed distance on a grid, well only near zero; return its origin and values [m]."""
+    """Sample a signed distance on a grid, exactly only near zero; return origin and values [m]."""
     block = 4
     low = low - 0.045
     blocks = np.ceil((high + 0.045 - low) / (block * cell)).astype(int)
     where = np.indices(blocks.tolist()).reshape(3, -1).T
     center = distance(low + cell * block * (where + 0.5))
     values = np.repeat(center, block**3).reshape(-1, block, block, block)
-    # A signed distance changes by no more than the way gone; the margin is for the ellipsoids'.
+    # A signed distance changes no faster than position; the margin is for ellipsoids, which do.
     near = np.abs(center) < 1.3 * cell * block * 0.5 * np.sqrt(3.0)
     offsets = np.indices((block,) * 3).reshape(3, -1).T
     points = low + cell * ((where[near] * block)[:, None, :] + offsets + 0.5)
@@ -38,7 +38,7 @@ _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 def _connected(corners: set[int]) -> bool:
-    """Whether one can walk between all these corners of a cell along its edges."""
+    """Whether these corners of a cell are all connected along its edges."""
     reached: set[int] = set()
     ahead = set(list(corners)[:1])
     while ahead:
@@ -48,7 +48,7 @@ def _connected(corners: set[int]) -> bool:
 
 
 def one_sheet() -> NDArray[np.bool_]:
-    """Tell for each pattern of inside corners whether one sheet of surface cuts it, shape [256]."""
+    """Whether a single sheet of surface cuts each pattern of inside corners, shape [256]."""
     inside = [{corner for corner in range(8) if pattern >> corner & 1} for pattern in range(256)]
     return np.array([_connected(part) and _connected(set(range(8)) - part) for part in inside])
 
@@ -64,9 +64,9 @@ def _patterns(values: Array) -> NDArray[np.uint8]:
 
 
 def _open_creases(values: Array) -> NDArray[np.uint8]:
-    """Part skin that touches skin, in place, until no cell is cut by two sheets of surface.
+    """Separate touching surfaces, in place, until no cell is cut by two sheets of surface.
 
-    Each such cell loses its shallowest inside corner; so the net closes and fingers that touch
+    Each such cell loses its shallowest inside corner, so that the net closes and touching fingers
     stay apart. Returns the patterns of inside corners.
     """
     in_one_sheet = one_sheet()
@@ -86,7 +86,7 @@ def surface_net(
     distance: Callable[[Array], Array], low: Array, high: Array, edge: float
 ) -> tuple[Array, NDArray[np.int32]]:
     """Mesh the zero level of a signed distance inside a box around some of its points."""
-    # A quad of the net is cut into two triangles: their mean edge is 1.1 of the cell's.
+    # Quads of the net are cut into two triangles, whose mean edge is 1.1 of the cell's.
     cell = edge / 1.1
     origin, values = _sample(distance, low, high, cell)
     pattern = _open_creases(values)
@@ -117,27 +117,27 @@ def _edges(net: NDArray[np.int32]) -> NDArray[np.int32]:
 def _relax(
     vertices: Array, net: NDArray[np.int32], distance: Callable[[Array], Array], cell: float
 ) -> Array:
-    """Move a net onto the surface and even out its quads along it, shape [V, 3]."""
+    """Move a net onto the surface and smooth it along the surface, shape [V, 3]."""
     edges = _edges(net)
-    neighbour_count = np.bincount(edges[:, 0], minlength=len(vertices))[:, None]
+    neighbor_count = np.bincount(edges[:, 0], minlength=len(vertices))[:, None]
     for sweep in range(9):
         if 0 < sweep < 8:
             sums = [
                 np.bincount(edges[:, 0], vertices[edges[:, 1], axis], minlength=len(vertices))
                 for axis in range(3)
             ]
-            vertices = vertices + 0.6 * (np.stack(sums, axis=1) / neighbour_count - vertices)
+            vertices = vertices + 0.6 * (np.stack(sums, axis=1) / neighbor_count - vertices)
         vertices = vertices + to_surface(distance, vertices, cell)
     return vertices
 
 
-def to_surface(distance: Callable[[Array], Array], points: Array, farthest: float) -> Array:
-    """Way from points to the surface near them, no longer than `farthest` [m], shape [N, 3]."""
+def to_surface(distance: Callable[[Array], Array], points: Array, max_distance: float) -> Array:
+    """Offset from points to the surface near them, limited in length [m], shape [N, 3]."""
     probe = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * 2e-4
     values = distance((points[:, None, :] + probe).reshape(-1, 3)).reshape(-1, 4)
     slope = values @ probe / (4.0 * 2e-4**2)
     square = np.maximum(np.sum(slope * slope, axis=1), 0.04)
-    return -slope * np.clip(values.mean(axis=1) / square, -farthest, farthest)[:, None]
+    return -slope * np.clip(values.mean(axis=1) / square, -max_distance, max_distance)[:, None]
 
 
 def _triangles(vertices: Array, net: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Binding: a rigged skin becomes a hand for simulation.
+"""Binding: turns a rigged skin into a hand for simulation.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: the inside is meshed with tetrahedra, and ghost particles rasterised in the rest pose are
+WHC 2021: the inside is meshed with tetrahedra, and ghost particles rasterized in the rest pose are
 carried by the barycentric coordinates of the tetrahedron around them.
 
-Ghosts lie on the skin only. A particle meets the skin on its own side before it comes inside, and
-one that a jump of the hand puts inside is led out along the nearest skin's normal: ghosts within
-would have neither a normal nor an area, and push in all directions.
+Ghosts lie on the skin only. A particle meets the skin on its own side before it gets inside, and
+one that ends up inside when the hand jumps is led out along the nearest skin's normal. Ghosts
+inside the hand would have neither a normal nor an area, and would push in all directions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..geometry.closed_mesh import MeshError, check_closed_mesh, mesh_area, mesh
 from ..geometry.lattice_tetrahedra import barycentric_weights, carriers
 from ..geometry.skin_query import SkinQuery
 from .bone_names import named_parents
-from .flesh import Flesh, hand_flesh
+from .flesh import FleshMesh, hand_flesh
 from .flesh_weights import flesh_weights
 from .ghosts import SurfaceGhosts, rasterize_ghosts
 from .parts import PALM, HandParts, hand_parts, skin_edges, skin_pieces
@@ -29,17 +29,17 @@ from .rig import HandRig
 from .skinned_hand import SkinnedHand
 
 NODE_COUNT = 500
-"""About as many nodes as a hand has where no cell is asked for."""
+"""About how many nodes a hand has when no cell size is given."""
 GHOST_SPACING = 0.5
-"""Distance of ghosts over that of clay particles: a particle's radius, so that none leaks through
-(between ghosts on a square lattice, one of less than a spacing's 1/√2 would)."""
-MOST_NODES = 100_000
-MOST_GHOSTS = 1_000_000
-"""More of either is taken for a mistake in units."""
-FARTHEST = 1.0
-"""Skin may lie outside of the tetrahedron that carries it by this share of its height."""
-_COARSEST = 0.25
-"""Largest cell over the hand's longest extent."""
+"""Ghost spacing over particle spacing: ghosts lie a particle's radius apart, so that no particle
+leaks through. On a square lattice of ghosts, balls smaller than 1/√2 of the ghost spacing would."""
+MAX_NODES = 100_000
+MAX_GHOSTS = 1_000_000
+"""More nodes or ghosts than this are taken for a mistake in units."""
+MAX_OUTSIDE = 1.0
+"""How far skin may lie outside the tetrahedron that carries it, over its height."""
+_MAX_CELL = 0.25
+"""Largest lattice cell over the hand's longest extent."""
 
 
 def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = None) -> HandRig:
@@ -47,18 +47,19 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
 
     Args:
         hand: Skin, skeleton and weights in the rest pose. Vertices at the same place count as one.
-        clay_spacing: Distance of the clay's particles [m]; ghosts lie half as far apart.
-        cell: Edge of the cubic cells of the tetrahedra's lattice [m]; by default so that there are
-            about 500 nodes.
+        clay_spacing: Distance between neighboring clay particles [m]; ghosts lie half as far apart.
+        cell: Edge of the cubic lattice cells that are cut into tetrahedra [m]; by default chosen
+            to give about 500 nodes.
 
     Returns:
-        The hand. Its skin has the vertices of the given one, in their order, without those that
-        repeat an earlier one.
+        The hand. Its skin has the given vertices in their order, except those that repeat an
+        earlier one.
 
     Raises:
         MeshError: The skin is open (the number of holes is named), inside out or in several
             pieces, has coordinates that are not finite or vertices that no bone carries.
-        ValueError: Bones are not a skeleton, or spacing or cell do not suit the hand's size.
+        ValueError: The bones do not form a skeleton, or the hand is too small or too large for the
+            spacing or cell.
     """
     if not (np.isfinite(clay_spacing) and clay_spacing > 0.0):
         raise ValueError(f"The clay's spacing is {clay_spacing!r} m; it must be above 0.")
@@ -114,13 +115,13 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
     )
 
 
-# What is bound -----------------------------------------------------------------------------------
+# Input checks ------------------------------------------------------------------------------------
 
 
 def _checked_skin(
     hand: SkinnedHand,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Welded vertices, faces and normalised weights, or say what is wrong with them."""
+    """Weld vertices, drop degenerate faces and normalize weights; raise if something is wrong."""
     name = "The hand"
     check_closed_mesh(hand.vertices, hand.faces, name=name)
     vertices = np.asarray(hand.vertices, np.float64)
@@ -169,19 +170,19 @@ def _check_bones(hand: SkinnedHand) -> None:
         raise ValueError("Two bones of the hand have the same name.")
     rest = np.asarray(hand.bone_rest, np.float64)
     if not np.isfinite(rest).all() or (np.abs(np.linalg.det(rest[:, :3, :3])) < 1e-12).any():
-        raise ValueError("A bone's rest matrix is not finite, or is scaled to nothing.")
+        raise ValueError("A bone's rest matrix is not finite, or its scale is zero.")
     if ((hand.bone_parent < -1) | (hand.bone_parent >= count)).any():
-        raise ValueError("A bone's parent is not there.")
+        raise ValueError("A bone's parent does not exist.")
 
 
 def _parents_first(parents: NDArray[np.int32]) -> list[int]:
-    """Bones with parents before children, or say why they are no skeleton."""
+    """Order bones so that parents come before children; raise if they form a cycle."""
     order: list[int] = []
     waiting = list(range(len(parents)))
     while waiting:
         ready = [bone for bone in waiting if parents[bone] < 0 or parents[bone] in order]
         if not ready:
-            raise ValueError("The hand's bones are their own ancestors.")
+            raise ValueError("The hand's bones form a loop: a bone is its own ancestor.")
         order += ready
         waiting = [bone for bone in waiting if bone not in ready]
     return order
@@ -195,26 +196,26 @@ def _checked_cell(
         return default_cell(volume, mesh_area(vertices, faces))
     if not (np.isfinite(cell) and cell > 0.0):
         raise ValueError(f"The lattice cell is {cell!r} m; it must be above 0.")
-    coarsest = _COARSEST * float(np.ptp(vertices, axis=0).max())
+    coarsest = _MAX_CELL * float(np.ptp(vertices, axis=0).max())
     if cell > coarsest:
         raise ValueError(
             f"A lattice cell of {cell:.3g} m is too coarse for a hand of this size: it may be "
             f"{coarsest:.2g} m at most."
         )
-    if 2.0 * volume / cell**3 > MOST_NODES:
+    if 2.0 * volume / cell**3 > MAX_NODES:
         raise ValueError(
-            f"A lattice cell of {cell:.3g} m would take more than {MOST_NODES:,} nodes; use one of "
-            f"at least {(2.0 * volume / MOST_NODES) ** (1 / 3):.2g} m."
+            f"A lattice cell of {cell:.3g} m would take more than {MAX_NODES:,} nodes; use one of "
+            f"at least {(2.0 * volume / MAX_NODES) ** (1 / 3):.2g} m."
         )
     return cell
 
 
 def default_cell(volume: float, area: float) -> float:
-    """Edge of the cells [m] with which a hand of this volume [m³] and skin [m²] has ~500 nodes."""
+    """Cell edge [m] that gives a hand of this volume [m³] and skin area [m²] about 500 nodes."""
     low, high = 1e-3 * volume ** (1 / 3), 10.0 * volume ** (1 / 3)
     for _ in range(60):
         cell = 0.5 * (low + high)
-        # Two nodes a cell, in the hand and, as the lattice's outside lies around it, in a layer.
+        # Two nodes per cell, inside the hand and in the layer where the lattice sticks out of it.
         if 2.0 * (volume + 0.93 * cell * area) / cell**3 > NODE_COUNT:
             low = cell
         else:
@@ -226,7 +227,7 @@ def _ghosts(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], spacing: float
 ) -> SurfaceGhosts:
     expected = mesh_area(vertices, faces) / spacing**2
-    if expected > MOST_GHOSTS:
+    if expected > MAX_GHOSTS:
         raise ValueError(
             f"Clay with a spacing of {spacing / GHOST_SPACING:.3g} m would take {expected:,.0f} "
             f"ghosts on this hand; check the units of both."
@@ -244,8 +245,8 @@ def _ghosts(
 
 def _flesh_in_own_frame(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], parts: HandParts, cell: float
-) -> Flesh:
-    """Fill a hand along its own longest axes, so that nothing depends on how it stands."""
+) -> FleshMesh:
+    """Fill a hand along its principal axes, so that the result does not depend on its pose."""
     corners = vertices[faces]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -260,18 +261,19 @@ def _flesh_in_own_frame(
     return replace(flesh, tetrahedra=replace(flesh.tetrahedra, points=nodes))
 
 
-# Carrying ----------------------------------------------------------------------------------------
+# Embedding ---------------------------------------------------------------------------------------
 
 
 def _embedded(
     points: NDArray[np.float64],
     nearest: NDArray[np.integer],
     parts: HandParts,
-    flesh: Flesh,
+    flesh: FleshMesh,
     cell: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Tetrahedron and barycentric coordinates of points of the skin, never in another finger."""
-    # Palm around the root of a finger may be in tetrahedra of the finger, but only in those there.
+    """Tetrahedron and barycentric coordinates of skin points, never in another finger."""
+    # Palm near a finger's root may be carried by the finger's tetrahedra, but only those at the
+    # root.
     root_group = 1 + parts.finger_count
     group = flesh.part + root_group * flesh.at_root
     part = parts.part[nearest]
@@ -280,7 +282,7 @@ def _embedded(
         root = np.where(part == PALM, 1 + parts.beyond[nearest].argmin(1), part)
         wanted[:, 1] = root_group + root
     carrier, outside = carriers(points, flesh.tetrahedra, group, wanted, cell)
-    if (carrier < 0).any() or outside.min() < -FARTHEST:
+    if (carrier < 0).any() or outside.min() < -MAX_OUTSIDE:
         raise ValueError(
             f"A lattice cell of {cell:.3g} m is too coarse for this hand: parts of its skin lie "
             "far from every tetrahedron. Use a smaller cell."

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parents of bones that have none, by their names: headsets give hands as 25 or 26 loose joints."""
+"""Finding parents of loose bones by name: headsets deliver hands as 25 or 26 separate joints."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def named_parents(names: tuple[str, ...]) -> NDArray[np.int32]:
     """Chain bones by the words of OpenXR and WebXR, such as index-finger-phalanx-proximal.
 
     Returns:
-        Index of each bone's parent, -1 for a root, shape [B]. Bones of other names stay roots, and
-        so do all where no bone is the wrist or a name is there twice.
+        Index of each bone's parent, -1 for a root, shape [B]. Bones with other names stay roots;
+        all do if no bone is the wrist, or several are, or a name occurs twice.
     """
     lowered = [name.lower() for name in names]
     parents = np.full(len(names), -1, np.int32)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand with its skeleton: of any size, or of the size a tracker measured.
+"""The default hand with its skeleton, of any size.
 
 Bones are OpenXR's 26 joints (XR_EXT_hand_tracking), each with its origin in the joint, -Z along the
-bone towards the fingertip, +Y out of the back of the hand and +X to the right of both, as trackers
-give them. So a tracker's joint pose, turned from Y up to Z up, is the bone's matrix.
+bone towards the fingertip, +Y out of the back of the hand and +X to the right of both. Trackers use
+the same axes, so a tracker's joint pose, turned from Y up to Z up, is the bone's matrix.
 
-The frame is that of `hand_shape`: wrist in the origin, fingers to +Y, the hand's back to +Z.
+The frame is that of `hand_shape`: wrist at the origin, fingers along +Y, back of the hand to +Z.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from .mesh import hand_mesh
 from .proportions import AVERAGE, FINGERS, REFERENCE_LENGTH, SEGMENTS, HandProportions
-from .rig import MOST_BONES
+from .rig import MAX_BONES
 from .shape import HandPose, HandShape, hand_shape, reference_shape
 from .skinned_hand import SkinnedHand
 from .weights import BONE_NAMES, bone_parents, bone_weights
@@ -34,15 +34,15 @@ REST_POSE = HandPose(
     little=(15.0, 8.0, 10.0, 6.0),
     thumb=(4.0, 6.0, 6.0, 10.0, 10.0),
 )
-"""Fingers apart and a little bent: between a flat hand and a fist."""
+"""Fingers apart and slightly bent: between a flat hand and a fist."""
 
 _GAP = 0.0025
-"""Air between fingers at rest, in a hand of the reference length [m]."""
+"""Gap between fingers at rest, in a hand of the reference length [m]."""
 _WEB = 0.6
-"""Fingers are apart from here on, in lengths of the proximal bone."""
+"""Fingers are separate beyond this point, in lengths of the proximal bone."""
 _SMOOTHING = 6
 _NEGLIGIBLE = 0.02
-"""Weights below this are left out, so that a finger is free of its neighbours."""
+"""Weights below this are dropped, so that fingers do not pull on each other."""
 
 
 def default_hand(
@@ -57,12 +57,11 @@ def default_hand(
     Args:
         side: "right" or "left".
         length: From the wrist joint to the tip of the straight middle finger [m].
-        proportions: How large the hand's parts are among each other; `measured_proportions` gives
-            those of a person, and their length.
+        proportions: Sizes of the hand's parts relative to each other.
         edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
 
     Returns:
-        A watertight skin, each vertex carried by four bones at most.
+        A watertight skin; each vertex is carried by at most four bones.
 
     Raises:
         ValueError: If the side is unknown, the length is not positive, or the edge is too long to
@@ -96,7 +95,7 @@ def default_hand_rig(
 
     Args:
         side: As for `default_hand`.
-        clay_spacing: Distance of the clay's particles [m].
+        clay_spacing: Distance between neighboring clay particles [m].
         length: As for `default_hand` [m].
         proportions: As for `default_hand`.
 
@@ -110,7 +109,7 @@ def default_hand_rig(
 
 
 def rest_pose(proportions: HandProportions) -> HandPose:
-    """The pose that a hand is modelled in: `REST_POSE`, opened further for thick fingers."""
+    """The pose that a hand is modeled in: `REST_POSE`, with thick fingers spread further."""
     for share in np.arange(1.0, 3.0, 0.1):
         pose = replace(
             REST_POSE,
@@ -125,7 +124,7 @@ def rest_pose(proportions: HandProportions) -> HandPose:
 
 
 def _narrowest_gap(shape: HandShape) -> float:
-    """Air between neighbouring fingers beyond their webs [m]."""
+    """Narrowest gap between neighboring fingers beyond their webs [m]."""
     share = np.linspace(_WEB, 3.0, 25)
     tubes = []
     for name in FINGERS:
@@ -153,13 +152,13 @@ def bone_matrices(shape: HandShape) -> dict[str, NDArray[np.float64]]:
 
 
 def _smoothed(weights: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Even weights out along the skin and keep the largest, rows adding up to one, shape [V, B]."""
+    """Smooth weights along the skin and keep the largest; rows add up to one, shape [V, B]."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     degree = np.bincount(edges[:, 0], minlength=len(weights))[:, None]
     for _ in range(_SMOOTHING):
         sums = np.zeros_like(weights)
         np.add.at(sums, edges[:, 0], weights[edges[:, 1]])
         weights = 0.5 * weights + 0.5 * sums / degree
-    least = -np.sort(-weights, axis=1)[:, MOST_BONES - 1 : MOST_BONES]
+    least = -np.sort(-weights, axis=1)[:, MAX_BONES - 1 : MAX_BONES]
     weights = np.where(weights >= np.maximum(least, _NEGLIGIBLE), weights, 0.0)
     return weights / weights.sum(1, keepdims=True)

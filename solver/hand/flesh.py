@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The inside of a hand in tetrahedra, of which no two fingers share any.
+"""The inside of a hand as tetrahedra, none of which two fingers share.
 
-A lattice with cells wider than the gap between fingers has tetrahedra that reach into two of them.
-Each such tetrahedron is there once for every finger in it, with corners of its own, as in Teran et
-al., "Creating and simulating skeletal muscle from the visible human data set", 2005,
-10.1109/TVCG.2005.42 (virtual nodes). Copies have corners in common only where the palm joins them.
+A lattice with cells wider than the gap between fingers has tetrahedra that reach into two fingers.
+Each such tetrahedron is copied for every finger in it, with corners of its own, as in Teran et al.,
+"Creating and simulating skeletal muscle from the visible human data set", 2005,
+10.1109/TVCG.2005.42 (virtual nodes). Copies share corners only where the palm joins them.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ..geometry.lattice_tetrahedra import (
 from ..geometry.skin_query import SkinQuery
 from .parts import PALM, HandParts, skin_pieces
 
-LEAST_FILL = 0.2
-"""Tetrahedra with less flesh than this share of their volume are left out."""
-LEAST_QUALITY = 0.4
-"""Mean ratio that laying the lattice's outside onto the skin leaves every tetrahedron, at least."""
+MIN_FILL = 0.2
+"""Tetrahedra are dropped if less than this share of their volume is flesh."""
+MIN_QUALITY = 0.4
+"""Smallest mean ratio of a tetrahedron after the lattice's surface is moved onto the skin."""
 REACH = 2.0
-"""Palm and finger are one where the way between them along the skin is shorter, in cells."""
+"""Palm and finger are joined where the path between them along the skin is shorter [cells]."""
 
 _SAMPLE_REACH = 0.75 * np.sqrt(5.0) / 4.0
-"""Samples lie at most this far from the middle of their tetrahedron, in cells."""
+"""Largest distance of a sample from the center of its tetrahedron, in cells."""
 _SAMPLES = np.array(
     [(i, j, k, 3 - i - j - k) for i in range(4) for j in range(4 - i) for k in range(4 - i - j)]
 )
@@ -42,15 +42,15 @@ _MARGIN_ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Flesh:
+class FleshMesh:
     """Tetrahedra inside a hand."""
 
     tetrahedra: Tetrahedra
-    """Each part's own, joined where the palm joins them."""
+    """Every part has its own; they share nodes where the palm joins them."""
     part: NDArray[np.int32]
     """Part of the hand that each tetrahedron belongs to, shape [T]."""
     at_root: NDArray[np.bool_]
-    """Whether it is a finger's that holds the palm around its root too, shape [T]."""
+    """Whether it belongs to a finger and also holds palm around the finger's root, shape [T]."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class _Content:
     share: NDArray[np.float64]
     """Share of its volume that each part fills, shape [T, 1 + F]."""
     palm_way: NDArray[np.float64]
-    """Least way along the skin from each finger's root to the palm in it [m], shape [T, F]."""
+    """Shortest path along the skin from each finger's root to the palm in it [m], shape [T, F]."""
     finger_way: NDArray[np.float64]
-    """Least way from each finger in it to that finger's root [m], shape [T, F]."""
+    """Shortest path from each finger in it to that finger's root [m], shape [T, F]."""
 
 
 def hand_flesh(
@@ -71,23 +71,23 @@ def hand_flesh(
     faces: NDArray[np.int32],
     parts: HandParts,
     cell: float,
-) -> Flesh:
+) -> FleshMesh:
     """Fill a hand with tetrahedra.
 
     Args:
         skin: The skin.
         vertices: Its vertices [m], shape [V, 3].
         faces: Its triangles, shape [F, 3].
-        parts: How it is divided.
+        parts: How it is divided into palm and fingers.
         cell: Edge of the lattice's cubic cells [m].
     """
     lattice = _lattice_around(skin, vertices, cell)
     content, lattice = _content(skin, lattice, parts, cell)
     tetrahedron, part, fill, at_root = _copies(content, cell)
-    filled = (part == PALM) & (fill >= LEAST_FILL)
+    filled = (part == PALM) & (fill >= MIN_FILL)
     key = _corner_keys(lattice, content, tetrahedron, part, tetrahedron[filled], cell)
     corners_of = np.unique(key, return_inverse=True)[1].reshape(key.shape)
-    least = LEAST_FILL
+    least = MIN_FILL
     while True:
         kept = fill >= least
         if _in_one_piece(corners_of[kept]) and np.isin(part, part[kept]).all():
@@ -102,11 +102,11 @@ def hand_flesh(
     flesh = Tetrahedra(points, corners.reshape(-1, 4).astype(np.int32))
     owner = (used % (1 + parts.finger_count)).astype(np.int32)
     points = _laid_on_skin(flesh, owner, vertices, faces, parts, cell)
-    return Flesh(Tetrahedra(points, flesh.corners), part[kept], at_root[kept])
+    return FleshMesh(Tetrahedra(points, flesh.corners), part[kept], at_root[kept])
 
 
 def _lattice_around(skin: SkinQuery, vertices: NDArray[np.float64], cell: float) -> Tetrahedra:
-    """Tetrahedra of all lattice cells that the hand may reach into."""
+    """Tetrahedra of all lattice cells that may contain part of the hand."""
     low = vertices.min(0)
     shape = np.maximum(np.ceil(np.ptp(vertices, axis=0) / cell).astype(int), 1)
     low = low - 0.5 * (shape * cell - np.ptp(vertices, axis=0))
@@ -118,7 +118,7 @@ def _lattice_around(skin: SkinQuery, vertices: NDArray[np.float64], cell: float)
 def _content(
     skin: SkinQuery, lattice: Tetrahedra, parts: HandParts, cell: float
 ) -> tuple[_Content, Tetrahedra]:
-    """Look what is in each tetrahedron, and leave out those that hold nothing."""
+    """Find what is in each tetrahedron, and drop those that are empty."""
     center = skin.nearest(lattice.points[lattice.corners].mean(1))
     touched = center.depth > -_SAMPLE_REACH * cell
     corners, depth, nearest = (
@@ -149,7 +149,7 @@ def _content(
 def _sampled(
     skin: SkinQuery, place: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Nearest vertex to samples of tetrahedra, and whether they are inside, shape [T, samples]."""
+    """Nearest skin vertex of tetrahedron samples, and whether they are inside, [T, samples]."""
     samples = np.einsum("sk,tkd->tsd", _SAMPLES, place)
     found = skin.nearest(samples.reshape(-1, 3))
     shape = samples.shape[:2]
@@ -182,10 +182,10 @@ def _corner_keys(
     palm: NDArray[np.int64],
     cell: float,
 ) -> NDArray[np.int64]:
-    """Tell corners of copies apart: the same number is the same node, shape [copies, 4].
+    """Number the corners of copies: equal numbers are the same node, shape [copies, 4].
 
-    A finger has the palm's corners where the palm alone fills a tetrahedron around them and the
-    finger has its root there. All others are its own.
+    A finger shares a corner with the palm where the corner is at the finger's root and belongs to a
+    tetrahedron that the palm alone fills. All its other corners are its own.
     """
     point_count, finger_count = len(lattice.points), content.palm_way.shape[1]
     in_palm = np.zeros(point_count, bool)
@@ -203,7 +203,7 @@ def _corner_keys(
 
 
 def _in_one_piece(corners: NDArray[np.integer]) -> bool:
-    """Whether tetrahedra all hang together."""
+    """Whether the tetrahedra are all connected."""
     used, index = np.unique(corners, return_inverse=True)
     ring = index.reshape(-1, 4)
     edges = np.concatenate([ring[:, [i, (i + 1) % 4]] for i in range(4)])
@@ -219,10 +219,10 @@ def _laid_on_skin(
     parts: HandParts,
     cell: float,
 ) -> NDArray[np.float64]:
-    """Move corners outside of their part's skin to it as far as tetrahedra stay well shaped.
+    """Move corners outside their part's skin onto it, as far as tetrahedra stay well shaped.
 
-    They stop so far outside that flat faces between them cut off as much as they add: so the
-    tetrahedra have the hand's own volume, and little sticks out where a finger bends.
+    They stop slightly outside, where the flat faces between them cut off as much as they add. The
+    tetrahedra then have the hand's volume, and little sticks out where a finger bends.
     """
     way = _way_to_skin(flesh.points, owner, vertices, faces, parts, cell)
     length = np.linalg.norm(way, axis=1, keepdims=True)
@@ -244,10 +244,10 @@ def _way_to_skin(
     parts: HandParts,
     cell: float,
 ) -> NDArray[np.float64]:
-    """Way to their part's skin from points outside of it, zero for others [m], shape [N, 3]."""
+    """Offset to their part's skin for points outside it, zero for others [m], shape [N, 3]."""
     way = np.zeros_like(points)
     for number in range(1 + parts.finger_count):
-        # The palm's skin goes on beyond the roots, and a finger's into the palm: no edges there.
+        # Overlap at the roots, so that neither part's skin ends in an edge there.
         if number == PALM:
             belongs = (parts.part == PALM) | (parts.beyond > -REACH * cell).any(1)
         else:
@@ -268,11 +268,11 @@ def _way_to_skin(
 
 
 def _moved(flesh: Tetrahedra, way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners moved as far along their ways as tetrahedra stay well shaped [m], shape [N, 3]."""
+    """Corners moved along their offsets as far as tetrahedra stay well shaped [m], shape [N, 3]."""
     share = np.ones((len(way), 1))
     for turn in range(_SNAPS + 2):
         moved = flesh.points + share * way
-        poor = tetrahedron_qualities(moved, flesh.corners) < LEAST_QUALITY
+        poor = tetrahedron_qualities(moved, flesh.corners) < MIN_QUALITY
         if not poor.any():
             return moved
         share[flesh.corners[poor].ravel()] *= 0.7 if turn < _SNAPS else 0.0

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much each bone carries each node of the flesh, so that the flesh follows the skin.
+"""How strongly each bone carries each node of the flesh, so that the flesh follows the skin.
 
 A joint o that turns by R moves a point x of the skin by (R − I) u (x − o), where u is the share of
 all bones beyond the joint. In a tetrahedron with barycentric coordinates s, nodes X and shares U it
-moves by (R − I) Σ s U (X − o). So each joint's U is found by least squares on the difference of the
-two, whatever R is; and a bone's weight is its U less those of its children.
+moves by (R − I) Σ s U (X − o). Each joint's U is found by least squares on the difference of the
+two, which does not depend on R. A bone's weight is its U minus those of its children.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.lattice_tetrahedra import Tetrahedra
-from .rig import MOST_BONES
+from .rig import MAX_BONES
 
 SMOOTHNESS = 0.01
-"""Weight of differences along edges of tetrahedra, over that of differences from the skin."""
+"""Weight of differences along tetrahedron edges, relative to that of differences from the skin."""
 NEGLIGIBLE = 0.01
-"""Weights below this are left out."""
+"""Weights below this are dropped."""
 
 _ROUNDS = 100
 _RESIDUAL = 1e-3
@@ -41,8 +41,8 @@ def flesh_weights(
         carrier: Tetrahedron of each of S points of the skin, shape [S].
         share: Their barycentric coordinates in it, shape [S, 4].
         points: The points [m], shape [S, 3].
-        wanted: How much each bone carries them, rows adding up to one, shape [S, B].
-        joints: Where each bone turns [m], shape [B, 3].
+        wanted: How strongly each bone carries them, rows adding up to one, shape [S, B].
+        joints: The point about which each bone turns [m], shape [B, 3].
         parents: Index of each bone's parent, -1 for a root, shape [B]; parents before children.
 
     Returns:
@@ -73,7 +73,7 @@ def flesh_weights(
 
 
 class _Couplings:
-    """Which nodes the fit couples: those of the same tetrahedron, and the points in it."""
+    """Which nodes the fit couples: those that share a tetrahedron or a point in one."""
 
     def __init__(
         self, flesh: Tetrahedra, ring: NDArray[np.int32], share: NDArray[np.float64]
@@ -88,7 +88,7 @@ class _Couplings:
         self.start = np.searchsorted(keys, np.arange(count) * count)
         data = np.concatenate([ring[:, pair] for pair in _PAIRS]).astype(np.int64)
         self.place = np.searchsorted(keys, data[:, 0] * count + data[:, 1])
-        # Few points of skin must weigh as much against the smoothness as many do.
+        # The balance with smoothness must not depend on the number of skin points.
         self.smoothness = SMOOTHNESS * len(ring) / count
 
     def fit(
@@ -140,9 +140,9 @@ def _strongest(
     weights: NDArray[np.float64],
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
     """The four strongest bones of each node, and their weights."""
-    padding = max(0, MOST_BONES - weights.shape[1])
+    padding = max(0, MAX_BONES - weights.shape[1])
     weights = np.pad(np.maximum(weights, 0.0), ((0, 0), (0, padding)))
-    bones = np.argsort(-weights, axis=1, kind="stable")[:, :MOST_BONES]
+    bones = np.argsort(-weights, axis=1, kind="stable")[:, :MAX_BONES]
     chosen = np.take_along_axis(weights, bones, axis=1)
     chosen = np.where(chosen >= NEGLIGIBLE, chosen, 0.0)
     bones = np.where(chosen > 0.0, bones, bones[:, :1])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Ghost particles on the surface of a closed mesh, which carry contact (paper, section III-D).
 
-Barreiro, Torres and Otaduy rasterise ghost particles on a solid in its rest configuration and move
-them with it. Here they lie on the surface, each in a triangle that carries it, and each stands for
-the part of the surface nearest to it, so that their areas add up to that of the mesh.
+Barreiro, Torres and Otaduy rasterize ghost particles on a solid in its rest configuration and move
+them with it. Here they lie on the surface, each carried by a triangle, and each represents the part
+of the surface nearest to it, so that their areas add up to that of the mesh.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ..core.recording_lock import recording_lock
+
 COVER_RADIUS = 0.57
 """A ghost covers the surface this far around it, in ghost spacings."""
 CANDIDATE_SPACING = 0.2
-"""Longest edge of the pieces that surfaces are cut into to choose from, in ghost spacings.
+"""Longest edge of the surface pieces among which ghosts are chosen, in ghost spacings.
 
 No point of a piece is farther from its centroid than two thirds of that, so that no point of the
 surface is farther than 0.57 + 0.133 < 1/√2 spacings from a ghost: as dense as a square lattice.
 """
 SLENDER = 5.0
-"""Longest edge squared over area of a triangle that is cut in half first; a stout one has 2.3."""
+"""Triangles with a larger longest edge squared over area are halved first; equilateral: 2.3."""
 SAME_SIDE = 0.5
 """Ghosts cover only surface whose normal has at least this cosine with theirs."""
 _GRID_CELLS = 64
@@ -39,12 +41,12 @@ class SurfaceGhosts:
     weights: NDArray[np.float64]
     """Barycentric coordinates in that triangle, shape [G, 3]."""
     area: NDArray[np.float64]
-    """Surface that each stands for, in the rest shape [m²], shape [G]."""
+    """Surface area that each represents, in the rest shape [m²], shape [G]."""
 
     def positions(
         self, vertices: NDArray[np.floating], faces: NDArray[np.integer]
     ) -> NDArray[np.float64]:
-        """Where they are when the vertices are there [m], shape [G, 3]."""
+        """Ghost positions for given vertex positions [m], shape [G, 3]."""
         corners = np.asarray(vertices, np.float64)[np.asarray(faces)[self.face]]
         return np.einsum("gk,gkd->gd", self.weights, corners)
 
@@ -61,7 +63,7 @@ def rasterize_ghosts(
     """Cover a mesh in its rest shape with ghosts.
 
     No point of the surface is farther than ``spacing`` / √2 from a ghost on its own side, so that
-    a particle of radius ``spacing`` finds no way between them.
+    a particle of radius ``spacing`` cannot slip between them.
 
     Args:
         vertices: Corner positions [m], shape [V, 3].
@@ -107,7 +109,7 @@ def _cut_faces(
     cuts = np.maximum(np.ceil(edges / longest - 1e-9).astype(np.int64), 1)
     faces, weights, areas = [], [], []
     for count in np.unique(cuts):
-        which = np.flatnonzero(cuts == count)
+        pieces = np.flatnonzero(cuts == count)
         first, second = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
         upright = first + second < count
         inverted = first + second < count - 1
@@ -118,9 +120,9 @@ def _cut_faces(
             ]
         )
         inner = np.column_stack([1.0 - inner.sum(1) / count, inner / count])
-        faces.append(np.repeat(face[which], len(inner)))
-        weights.append((inner @ corners[which]).reshape(-1, 3))
-        areas.append(np.repeat(area[which] / count**2, len(inner)))
+        faces.append(np.repeat(face[pieces], len(inner)))
+        weights.append((inner @ corners[pieces]).reshape(-1, 3))
+        areas.append(np.repeat(area[pieces] / count**2, len(inner)))
     return np.concatenate(faces), np.concatenate(weights), np.concatenate(areas)
 
 
@@ -146,9 +148,9 @@ def _cut_slivers(
         slender = (edges.max(1) > longest) & (edges.max(1) ** 2 > SLENDER * area)
         done.append((face[~slender], corners[~slender], area[~slender]))
         face, corners, area = face[slender], corners[slender], area[slender]
-        row, which = np.arange(len(face)), edges[slender].argmax(1)
-        first, second = corners[row, which], corners[row, (which + 1) % 3]
-        apex, middle = corners[row, (which + 2) % 3], 0.5 * (first + second)
+        row, edge = np.arange(len(face)), edges[slender].argmax(1)
+        first, second = corners[row, edge], corners[row, (edge + 1) % 3]
+        apex, middle = corners[row, (edge + 2) % 3], 0.5 * (first + second)
         halves = [np.stack([first, middle, apex], 1), np.stack([middle, second, apex], 1)]
         face, corners, area = np.tile(face, 2), np.concatenate(halves), np.tile(0.5 * area, 2)
     faces, pieces, areas = zip(*done, strict=True)
@@ -167,7 +169,7 @@ def choose_cover(
     chosen: wp.array[int],
     chosen_count: wp.array[int],
 ) -> None:
-    """Choose points one after the other, in a single thread, until the chosen cover all."""
+    """Choose points one after another, in a single thread, until all points are covered."""
     used = int(0)
     for turn in range(order.shape[0]):
         i = order[turn]
@@ -189,41 +191,42 @@ def choose_cover(
 def _cover(
     place: NDArray[np.float64], normal: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Choose points until every point has a chosen one within the radius on its side.
+    """Choose points until every point has a chosen one within the radius, on the same side.
 
     Returns:
-        Indices of the chosen, and for each point which of the chosen is nearest on its side.
+        Indices of the chosen points, and for each point the nearest chosen one on its side.
     """
     count = len(place)
-    # Neighbours in space as neighbours in memory: several times faster.
+    # Neighbors in space become neighbors in memory, which is several times faster.
     cell = np.floor((place - place.min(0)) / radius).astype(np.int64)
     sorting = np.lexsort(cell.T)
-    # About their middle, where float32 resolves them best.
-    points = wp.array((place - place.mean(0))[sorting], dtype=wp.vec3, device="cpu")
-    # Choosing without pattern: along the rows of a cut, each ghost would cover half of what the
-    # one before it does.
+    # In random order: along the rows of a cut triangle, each ghost would cover half of what the
+    # one before it covers.
     order = np.random.default_rng(0).permutation(count)
-    grid = wp.HashGrid(_COVER_CELLS, _COVER_CELLS, _COVER_CELLS, device="cpu")
-    grid.build(points, radius)
-    owner = wp.full(count, -1, dtype=int, device="cpu")
-    chosen = wp.zeros(count, dtype=int, device="cpu")
-    chosen_count = wp.zeros(1, dtype=int, device="cpu")
-    wp.launch(
-        choose_cover,
-        dim=1,
-        inputs=[
-            grid.id,
-            radius,
-            wp.array(order, dtype=int, device="cpu"),
-            points,
-            wp.array(normal[sorting], dtype=wp.vec3, device="cpu"),
-            wp.full(count, np.inf, dtype=float, device="cpu"),
-            owner,
-            chosen,
-            chosen_count,
-        ],
-        device="cpu",
-    )
+    with recording_lock:
+        # About their middle, where float32 resolves them best.
+        points = wp.array((place - place.mean(0))[sorting], dtype=wp.vec3, device="cpu")
+        grid = wp.HashGrid(_COVER_CELLS, _COVER_CELLS, _COVER_CELLS, device="cpu")
+        grid.build(points, radius)
+        owner = wp.full(count, -1, dtype=int, device="cpu")
+        chosen = wp.zeros(count, dtype=int, device="cpu")
+        chosen_count = wp.zeros(1, dtype=int, device="cpu")
+        wp.launch(
+            choose_cover,
+            dim=1,
+            inputs=[
+                grid.id,
+                radius,
+                wp.array(order, dtype=int, device="cpu"),
+                points,
+                wp.array(normal[sorting], dtype=wp.vec3, device="cpu"),
+                wp.full(count, np.inf, dtype=float, device="cpu"),
+                owner,
+                chosen,
+                chosen_count,
+            ],
+            device="cpu",
+        )
     owners = np.empty(count, np.int32)
     owners[sorting] = owner.numpy()
     return sorting[chosen.numpy()[: chosen_count.numpy()[0]]], owners
@@ -234,7 +237,7 @@ def carry_ghosts(
     face: wp.array[int],
     weights: wp.array[wp.vec3],
     orientation: wp.array[float],
-    which: int,
+    row: int,
     indices: wp.array[int],
     points: wp.array[wp.vec3],
     motion: wp.array[wp.vec3],
@@ -251,7 +254,7 @@ def carry_ghosts(
     position[g] = points[a] * w[0] + points[b] * w[1] + points[c] * w[2]
     drift[g] = motion[a] * w[0] + motion[b] * w[1] + motion[c] * w[2]
     outward = wp.cross(points[b] - points[a], points[c] - points[a])
-    normal[g] = wp.normalize(outward) * orientation[which]
+    normal[g] = wp.normalize(outward) * orientation[row]
 
 
 class GhostMesh:
@@ -259,7 +262,7 @@ class GhostMesh:
 
     Args:
         ghosts: The ghosts.
-        reach: Farthest that they are going to be looked for [m].
+        reach: Largest distance at which they are searched for [m].
         device: Warp device.
     """
 
@@ -277,16 +280,16 @@ class GhostMesh:
         self.normal = wp.zeros(count, dtype=wp.vec3, device=device)
         """Outward."""
         self.drift = wp.zeros(count, dtype=wp.vec3, device=device)
-        """What the mesh's change of shape moves them by in a substep [m]."""
+        """Their motion in a substep due to the mesh's change of shape [m]."""
         self.grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
 
-    def carry(self, mesh: wp.Mesh, orientation: wp.array, which: int) -> None:
-        """Follow the mesh to its present vertices.
+    def carry(self, mesh: wp.Mesh, orientation: wp.array, row: int) -> None:
+        """Follow the mesh to its current vertices.
 
         Args:
-            mesh: The mesh; its velocities are what vertices move by in a substep [m].
+            mesh: The mesh; its velocities hold the motion of vertices in a substep [m].
             orientation: 1 for each mesh that winds outward, -1 for one turned inside out.
-            which: The mesh's place in ``orientation``.
+            row: The mesh's index in ``orientation``.
         """
         wp.launch(
             carry_ghosts,
@@ -295,7 +298,7 @@ class GhostMesh:
                 self.face,
                 self.weights,
                 orientation,
-                which,
+                row,
                 mesh.indices,
                 mesh.points,
                 mesh.velocities,

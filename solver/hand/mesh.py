@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The default hand: a watertight mesh generated from 26 joints, their radii and a pose.
 
-A surface net of the hand's signed distance, relaxed along that surface and projected back onto it,
-is the mesh.
+The mesh is a surface net of the hand's signed distance, relaxed along the surface and projected
+back onto it.
 """
 
 from functools import partial
@@ -28,22 +28,22 @@ def hand_mesh(
     edge_length: float | None = None,
     proportions: HandProportions = AVERAGE,
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Mesh a hand as one closed body.
+    """Mesh a hand as one closed surface.
 
     Args:
         side: "right" or "left"; the left hand is the mirror image in X.
         length: From the wrist joint to the tip of the straight middle finger [m].
-        pose: A name in POSES, or joint angles of one's own.
+        pose: A name in POSES, or joint angles.
         edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
-        proportions: How large the hand's parts are among each other.
+        proportions: Sizes of the hand's parts relative to each other.
 
     Returns:
         Vertices [m], shape [V, 3], and triangles that wind counter-clockwise seen from outside,
         shape [F, 3].
 
     Raises:
-        ValueError: If the side or the pose is unknown, the length is not positive, or the edge
-            is too long to tell the fingers apart.
+        ValueError: The side or the pose is unknown, the length is not positive, or the edge is too
+            long to resolve the gaps between fingers.
     """
     factor = scale_factors(side, length)
     edge = 0.024 * REFERENCE_LENGTH if edge_length is None else edge_length / factor[1]

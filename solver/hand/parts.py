@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which skin belongs to a finger that moves freely, and which to the palm that joins them.
 
-Told by the shape of the skin alone, so that it holds for any skeleton and for careless weights: the
-way along the skin from the wrist has one peak at every fingertip. Peaks that last are fingers
+Found from the shape of the skin alone, so that it works for any skeleton and careless weights: the
+distance along the skin from the wrist has one peak at every fingertip. Persistent peaks are fingers
 (Edelsbrunner, Letscher and Zomorodian, "Topological persistence and simplification", 2002,
-10.1007/s00454-002-2885-2); each is free down to where the shortest way to the next fingertip leaves
-it. Fingers that touch without being grown together are as far apart as their skin says.
+10.1007/s00454-002-2885-2); each is free down to where the shortest path to the next fingertip
+leaves it. Fingers that touch without being joined are as far apart as the path along their skin.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 PALM = 0
-"""Part of all skin that is not a free finger's."""
+"""Index of the part that holds all skin outside free fingers."""
 
 _PERSISTENCE = (0.06, 0.03)
-"""A free end is at least this long, in ways from the wrist to the farthest tip; the shorter only
-where it is slender, as fingers at the end of a long arm are."""
+"""Smallest length of a free end, over the distance from the wrist to the farthest tip. The second
+is for slender ends, such as fingers at the end of a long arm."""
 _SLENDER = 1.7
-"""Length squared of a slender end over its area by pi; a round cap has 1, a finger 2 to 3."""
+"""Smallest π length² / area of a slender end; a round cap has 1, a finger 2 to 3."""
 _END_REACH = 0.12
-"""How far around an end its skin is measured, in largest ways along the skin."""
+"""How far around an end its skin is measured, over the largest distance along the skin."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class HandParts:
     """How the skin is divided into the palm and F free fingers."""
 
     part: NDArray[np.int32]
-    """PALM, or 1 + the free finger that a vertex belongs to, shape [V]."""
+    """PALM, or 1 + the index of the free finger that a vertex belongs to, shape [V]."""
     beyond: NDArray[np.float64]
     """How far along the skin a vertex lies beyond the root of each free finger, negative on the
     finger [m], shape [V, F]."""
@@ -72,7 +72,7 @@ def hand_parts(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> HandP
 def _web(
     first: NDArray[np.float64], second: NDArray[np.float64], height: NDArray[np.float64]
 ) -> int:
-    """Where the shortest way between two fingertips comes nearest to the wrist: between fingers."""
+    """Where the shortest path between two fingertips is nearest to the wrist: between fingers."""
     both = first + second
     on_way = both <= both.min() * (1.0 + 1e-9)
     return int(np.where(on_way, height, np.inf).argmin())
@@ -87,7 +87,7 @@ def skin_edges(faces: NDArray[np.int32]) -> NDArray[np.int64]:
 
 
 def skin_pieces(count: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the connected piece that each vertex belongs to: its lowest vertex, shape [V]."""
+    """The connected piece of each vertex, named by its lowest vertex, shape [V]."""
     piece = np.arange(count)
     while True:
         before = piece.copy()
@@ -100,7 +100,7 @@ def skin_pieces(count: int, edges: NDArray[np.int64]) -> NDArray[np.int64]:
 def way_from(
     start: int, edges: NDArray[np.int64], lengths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Shortest way along edges from a vertex [m], shape [V].
+    """Length of the shortest path along edges from a vertex [m], shape [V].
 
     Args:
         start: The vertex.
@@ -130,7 +130,7 @@ def way_from(
 def _wrist(
     edges: NDArray[np.int64], lengths: NDArray[np.float64], areas: NDArray[np.float64]
 ) -> int:
-    """The end of the hand around which there is the most skin: an arm is thicker than a finger."""
+    """The end of the hand with the most skin around it: an arm is thicker than a finger."""
     first_end = int(way_from(0, edges, lengths).argmax())
     height = way_from(first_end, edges, lengths)
     others = {int(height.argmax()), *_free_ends(height, edges, areas)}
@@ -142,24 +142,24 @@ def _wrist(
 
 @dataclass
 class _End:
-    """A piece of skin above some height, on its way down from its highest vertex."""
+    """A piece of skin above some height, grown downward from its highest vertex."""
 
     peak: int
     members: list[int]
     area: float = 0.0
     merged: bool = False
-    """Whether lasting ends have met in it."""
+    """Whether persistent ends have met in it."""
 
 
 def _free_ends(
     height: NDArray[np.float64], edges: NDArray[np.int64], areas: NDArray[np.float64]
 ) -> list[int]:
-    """Highest vertex of each end that is long enough where it meets another such.
+    """Highest vertex of each end that is long enough where it meets another such end.
 
     Args:
-        height: Way of each vertex from the wrist [m], shape [V].
+        height: Distance of each vertex from the wrist along the skin [m], shape [V].
         edges: Edges in both directions, sorted, shape [E, 2].
-        areas: Skin around each vertex [m²], shape [V].
+        areas: Area of skin around each vertex [m²], shape [V].
     """
     long, short = (share * float(height.max()) for share in _PERSISTENCE)
     start = np.searchsorted(edges[:, 0], np.arange(len(height) + 1))

@@ -2,7 +2,7 @@
 """A hand bound for simulation: its skin, skeleton, tetrahedra and ghosts, all in the rest pose.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterised in the
+WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterized in the
 rest pose are carried by the tetrahedra around them.
 """
 
@@ -15,33 +15,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-MOST_BONES = 4
-"""Bones that carry one node of the flesh, at most."""
+MAX_BONES = 4
+"""Largest number of bones that carry one node of the flesh."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandRig:
     """The rest pose of a hand. Lengths in metres, in world coordinates at the time of binding.
 
-    Points that tetrahedra carry keep four barycentric weights, which add up to one; for points a
-    little outside of their tetrahedron some are negative.
+    Points carried by tetrahedra have four barycentric weights, which add up to one; some are
+    negative for points slightly outside their tetrahedron.
 
     Raises:
         ValueError: Arrays do not fit each other, or hold values that are not finite.
     """
 
     side: str
-    """Which hand: left or right, or empty where it is not known."""
+    """Which hand: left or right, or empty if unknown."""
     vertices: NDArray[np.float64]
     """Skin, shape [V, 3]."""
     faces: NDArray[np.int32]
     """Triangles of the closed skin, wound outward, shape [F, 3]."""
     bone_names: tuple[str, ...]
-    """Names of the B bones."""
+    """Names of the B bones, in the order of all arrays of bones."""
     bone_rest: NDArray[np.float64]
     """World from each bone's own coordinates, shape [B, 4, 4]."""
     bone_parent: NDArray[np.int32]
-    """Index of each bone's parent, -1 for a root, shape [B]; parents stand before children."""
+    """Index of each bone's parent, -1 for a root, shape [B]; parents come before children."""
     nodes: NDArray[np.float64]
     """Nodes of the flesh, shape [N, 3]."""
     tetrahedra: NDArray[np.int32]
@@ -49,7 +49,7 @@ class HandRig:
     node_bones: NDArray[np.int32]
     """Bones that carry each node, shape [N, 4]."""
     node_weights: NDArray[np.float64]
-    """How much each does, rows adding up to one, shape [N, 4]."""
+    """How strongly each does, rows adding up to one, shape [N, 4]."""
     vertex_tetrahedron: NDArray[np.int32]
     """Tetrahedron that carries each vertex of the skin, shape [V]."""
     vertex_weights: NDArray[np.float64]
@@ -61,9 +61,9 @@ class HandRig:
     ghost_normals: NDArray[np.float64]
     """Outward unit normals of ghosts on the surface, zero for those inside, shape [G, 3]."""
     ghost_areas: NDArray[np.float64]
-    """Skin each ghost stands for [m²], zero for those inside, shape [G]."""
+    """Area of skin each ghost represents [m²], zero for those inside, shape [G]."""
     ghost_spacing: float
-    """Distance of neighbouring ghosts [m]."""
+    """Distance between neighboring ghosts [m]."""
 
     def __post_init__(self) -> None:
         vertices, bones, nodes = len(self.vertices), len(self.bone_names), len(self.nodes)
@@ -75,8 +75,8 @@ class HandRig:
             "bone_parent": (bones,),
             "nodes": (nodes, 3),
             "tetrahedra": (tetrahedra, 4),
-            "node_bones": (nodes, MOST_BONES),
-            "node_weights": (nodes, MOST_BONES),
+            "node_bones": (nodes, MAX_BONES),
+            "node_weights": (nodes, MAX_BONES),
             "vertex_tetrahedron": (vertices,),
             "vertex_weights": (vertices, 4),
             "ghost_tetrahedron": (ghosts,),
@@ -99,10 +99,10 @@ class HandRig:
         ):
             array = getattr(self, name)
             if array.size and not (array.min() >= 0 and array.max() < count):
-                raise ValueError(f"HandRig.{name} refers to things that are not there.")
+                raise ValueError(f"HandRig.{name} has indices out of range.")
 
     def skinned_nodes(self, bones: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """Where the bones alone would carry the nodes (linear blend skinning) [m], shape [N, 3].
+        """Node positions if bones alone carried them (linear blend skinning) [m], shape [N, 3].
 
         Args:
             bones: World from each bone's own coordinates, by bone name, shape [4, 4]; bones not
@@ -117,11 +117,11 @@ class HandRig:
         return np.einsum("nij,nj->ni", blended[:, :3, :3], self.nodes) + blended[:, :3, 3]
 
     def carried_vertices(self, nodes: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Skin where the nodes are there [m], shape [V, 3]."""
+        """Positions of the skin for given positions of the nodes [m], shape [V, 3]."""
         return _carried(nodes, self.tetrahedra[self.vertex_tetrahedron], self.vertex_weights)
 
     def carried_ghosts(self, nodes: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Ghosts where the nodes are there [m], shape [G, 3]."""
+        """Positions of the ghosts for given positions of the nodes [m], shape [G, 3]."""
         return _carried(nodes, self.tetrahedra[self.ghost_tetrahedron], self.ghost_weights)
 
     def to_arrays(self) -> dict[str, NDArray]:

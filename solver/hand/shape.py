@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the 26 joints of a hand are in a pose: forward kinematics from joint angles.
+"""Joint positions of a hand in a pose: forward kinematics from joint angles.
 
 Frame: the wrist joint is the origin, straight fingers point to +Y, the back of the hand to +Z, and
 the thumb of a right hand to -X.
@@ -86,7 +86,7 @@ POSES: Mapping[str, HandPose] = MappingProxyType(
 
 @dataclass(frozen=True)
 class HandShape:
-    """Where a hand's joints are, and how far the skin is from each of them."""
+    """Joint positions of a hand, and how far the skin is from each joint."""
 
     joints: Mapping[str, Array]
     """Position of each joint [m], shape [3], by the names in JOINT_NAMES."""
@@ -110,11 +110,11 @@ def hand_shape(
     Args:
         side: "right" or "left".
         length: From the wrist joint to the tip of the straight middle finger [m].
-        pose: A name in POSES, or joint angles of one's own.
-        proportions: How large the hand's parts are among each other.
+        pose: A name in POSES, or joint angles.
+        proportions: Sizes of the hand's parts relative to each other.
 
     Raises:
-        ValueError: If the side or the pose is unknown, or the length is not positive.
+        ValueError: The side or the pose is unknown, or the length is not positive.
     """
     factor = scale_factors(side, length)
     shape = reference_shape(named_pose(pose), proportions)
@@ -128,10 +128,10 @@ def hand_shape(
 
 
 def scale_factors(side: str, length: float) -> Array:
-    """Return the factors that turn a reference hand into the one asked for, shape [3].
+    """Factors that scale the reference hand to a side and length, shape [3].
 
     Raises:
-        ValueError: If the side is unknown, or the length is not positive.
+        ValueError: The side is unknown, or the length is not positive.
     """
     if side not in ("right", "left"):
         raise ValueError(f'side must be "right" or "left", not {side!r}.')
@@ -142,6 +142,11 @@ def scale_factors(side: str, length: float) -> Array:
 
 
 def named_pose(pose: str | HandPose) -> HandPose:
+    """A pose by its name; poses are passed through.
+
+    Raises:
+        ValueError: There is no pose of that name.
+    """
     if isinstance(pose, HandPose):
         return pose
     if pose not in POSES:
@@ -150,7 +155,7 @@ def named_pose(pose: str | HandPose) -> HandPose:
 
 
 def rotation(axis: int, degrees: float) -> Array:
-    """Rotate about one axis, counter-clockwise seen from its tip."""
+    """Rotation about a coordinate axis, counter-clockwise seen from its tip, shape [3, 3]."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix = np.eye(3)
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -160,7 +165,7 @@ def rotation(axis: int, degrees: float) -> Array:
 
 
 def frame_along(forward: Array, up: Array) -> Array:
-    """Build axes whose Y is forward and whose Z is as near to up as that allows."""
+    """Axes as columns: Y is forward, Z as near to up as possible, shape [3, 3]."""
     forward = forward / np.linalg.norm(forward)
     up = up - forward * (up @ forward)
     up = up / np.linalg.norm(up)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The skin of a hand as a signed distance: a smooth union of round cones and ellipsoids.
 
-Fingers join the palm smoothly and each other sharply, so that they never grow together. Lengths are
-those of a hand that is `REFERENCE_LENGTH` long.
+Fingers join the palm smoothly and each other sharply, so that they never merge. All lengths are for
+a hand of `REFERENCE_LENGTH`.
 """
 
 from itertools import pairwise

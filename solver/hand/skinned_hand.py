@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A closed skin that bones carry by linear blend skinning: what a hand is before it is bound."""
+"""A closed skin carried by bones (linear blend skinning): a hand before it is bound."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class SkinnedHand:
     """
 
     side: str = ""
-    """Which hand: left or right, or empty where it is not known."""
+    """Which hand: left or right, or empty if unknown."""
     vertices: NDArray[np.float64]
     """Skin, shape [V, 3]."""
     faces: NDArray[np.int32]
@@ -31,7 +31,7 @@ class SkinnedHand:
     bone_parent: NDArray[np.int32]
     """Index of each bone's parent, -1 for a root, shape [B], in any order."""
     weights: NDArray[np.float64]
-    """How much each bone carries each vertex, shape [V, B]; rows need not add up to one."""
+    """How strongly each bone carries each vertex, shape [V, B]; rows need not add up to one."""
 
     def __post_init__(self) -> None:
         bones, vertices = len(self.bone_names), len(self.vertices)
@@ -49,7 +49,7 @@ class SkinnedHand:
                 )
 
     def posed(self, bones: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """Where bones carry the skin (linear blend skinning) [m], shape [V, 3].
+        """Skin positions for given bone poses (linear blend skinning) [m], shape [V, 3].
 
         Args:
             bones: World from each bone's own coordinates, by bone name, shape [4, 4]; bones not

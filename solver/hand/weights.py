@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much each bone of the default hand carries its skin.
+"""How strongly each bone of the default hand carries its skin.
 
-A point belongs to fingers by how near it is to each, and within a finger to the bones on either
-side of a joint by how far it lies beyond the joint's bisecting plane.
+A point is shared among fingers by its distance to each, and within a finger among the bones on
+either side of a joint by its distance beyond the joint's bisecting plane.
 """
 
 from itertools import pairwise
@@ -16,18 +16,18 @@ from .shape import HandShape
 Array = NDArray[np.float64]
 
 BONE_NAMES: tuple[str, ...] = ("wrist", "palm", *JOINT_NAMES[2:])
-"""Bones, by the joint each begins at; parents stand before children."""
+"""Bones, named by the joint where each begins; parents come before children."""
 
 _SHARPNESS = 8
-"""Power of the nearness: how suddenly skin passes from one finger to the next."""
+"""Exponent of the nearness: how sharply skin passes from one finger to the next."""
 _WRIST_NEARNESS = 3.0**-_SHARPNESS
-"""Skin farther than three radii from every finger goes with the wrist."""
+"""Skin farther than three radii from every finger follows the wrist."""
 _CARPUS = {"thumb": (-0.3, 0.45), "finger": (-0.1, 0.55)}
-"""Where skin passes from the wrist to a metacarpal, in lengths of it from its base."""
+"""Where skin passes from the wrist to a metacarpal, from its base in lengths of the bone."""
 _BLEND = {"proximal": 1.25, "intermediate": 0.95, "distal": 0.85}
-"""Half of the way over which skin passes from one bone to the next, in radii of the joint."""
+"""Half the width of the transition from one bone to the next, in radii of the joint."""
 _CREASE = {"proximal": 0.55, "intermediate": 0.1, "distal": 0.1}
-"""How much farther towards the tip that is on the palm's side, per distance from the axis."""
+"""Shift of the transition towards the tip on the palm's side, per distance from the axis."""
 
 
 def bone_parents() -> NDArray[np.int32]:
@@ -39,10 +39,10 @@ def bone_parents() -> NDArray[np.int32]:
 
 
 def bone_weights(points: Array, shape: HandShape) -> Array:
-    """Tell how much each of BONE_NAMES carries each point of the skin, shape [N, 26].
+    """How strongly each of BONE_NAMES carries each point of the skin, shape [N, 26].
 
     Args:
-        points: Places on the skin in the shape's own pose [m], shape [N, 3].
+        points: Points on the skin in the shape's pose [m], shape [N, 3].
         shape: Joints of a hand.
     """
     chains = {
@@ -69,7 +69,7 @@ def bone_weights(points: Array, shape: HandShape) -> Array:
 
 
 def _nearness(points: Array, shape: HandShape, chain: list[str]) -> Array:
-    """How near points are to a finger, measured in its own radii, shape [N]."""
+    """How near points are to a finger, relative to its radii, shape [N]."""
     nearest = np.full(len(points), np.inf)
     for start, end in pairwise(chain):
         axis = shape.joints[end] - shape.joints[start]
@@ -82,7 +82,7 @@ def _nearness(points: Array, shape: HandShape, chain: list[str]) -> Array:
 
 
 def _beyond_wrist(points: Array, shape: HandShape, chain: list[str]) -> Array:
-    """Share of skin that goes with a metacarpal or what follows it, not with the wrist, [N]."""
+    """Share of skin that follows a metacarpal or the bones beyond, not the wrist, shape [N]."""
     start, end = shape.joints[chain[0]], shape.joints[chain[1]]
     way = (points - start) @ (end - start) / ((end - start) @ (end - start))
     first, last = _CARPUS["thumb" if chain[0].startswith("thumb") else "finger"]
@@ -96,7 +96,7 @@ def _step(way: Array) -> Array:
 
 
 def _beyond(points: Array, shape: HandShape, chain: list[str], number: int) -> Array:
-    """Share of skin that goes with the bones after a joint: 0 before it, 1 after it, shape [N]."""
+    """Share of skin that follows the bones beyond a joint: 0 before it, 1 after it, shape [N]."""
     joint, before = chain[number], chain[number - 1]
     ahead = shape.axes[joint][:, 1] + shape.axes[before][:, 1]
     up = shape.axes[joint][:, 2] + shape.axes[before][:, 2]

@@ -2,16 +2,16 @@
 """Elastoplasticity of the paper's clay: distance constraints that come and go (eq. 5).
 
 A pair that moves along its connecting segment slower than one threshold is held at its distance; a
-held pair that moves faster than another, higher one is let go. Where the paper is silent:
+held pair that moves faster than another, higher threshold is released. Where the paper is silent:
 
 - It gives no thresholds. They are strain rates here, relative velocity over distance: as
   velocities they would make the material change with the particles' spacing.
-- The velocity is taken as a magnitude: pairs that are pushed together fast are let go as well, so
+- The velocity is taken as a magnitude: pairs that are pushed together fast are released as well, so
   that clay also flows where it is compressed.
 - The rate is that of the predicted motion, to which uniform gravity adds nothing.
-- A state changes only after the rate has asked for it for some time: a shock that passes is not
-  flow, a neighbour that rushes by is not caught, and ringing does not cut everything.
-- The rest length is the distance at activation: no stress is put in, and pieces that touch merge.
+- A state changes only after the rate has been past its threshold for some time: a passing shock is
+  not flow, a neighbor that rushes by is not caught, and ringing does not cut everything.
+- The rest length is the distance at activation: no stress is added, and pieces that touch merge.
 """
 
 import warp as wp
@@ -22,7 +22,7 @@ from .neighbors import Rows
 ACTIVATION_RATE = 1.0
 """Pairs that strain slower than this become bonded [1/s]."""
 DEACTIVATION_RATE = 5.0
-"""Bonds that strain faster than this are let go [1/s]."""
+"""Bonds that strain faster than this are released [1/s]."""
 ACTIVATION_TIME = 0.0125
 """How long a pair must have been slow [s]."""
 DEACTIVATION_TIME = 0.004
@@ -30,9 +30,9 @@ DEACTIVATION_TIME = 0.004
 ACTIVATION_REACH = 1.5
 """Pairs farther apart than this are never bonded, in spacings."""
 DEACTIVATION_REACH = 2.0
-"""Bonds longer than this are let go at once, in spacings."""
+"""Bonds longer than this are released at once, in spacings."""
 RELAXATION = 1.7
-"""Over-relaxation of the Jacobi iteration, over each particle's bound; a chain diverges at 2."""
+"""Over-relaxation of the Jacobi iteration, over each particle's bound; chains diverge at 2."""
 
 
 @wp.struct
@@ -65,9 +65,9 @@ def switch_bonds(
     velocity: wp.array[wp.vec3],
     bound: wp.array[float],
 ) -> None:
-    """Activate slow pairs and let fast bonds go; both ends decide alike from the same numbers.
+    """Activate slow pairs and release fast bonds; both ends decide alike from the same numbers.
 
-    ``bound`` limits what the bonds of a particle may move it together: no eigenvalue of
+    ``bound`` limits how far the bonds of a particle may move it together: no eigenvalue of
     Σ n nᵀ over its bonds is larger.
     """
     i = wp.tid()
@@ -90,7 +90,7 @@ def switch_bonds(
                 close = distance < ACTIVATION_REACH * law.spacing
                 slow = rate < law.activation_rate and close
                 waited = wp.where(slow, waited + law.time_step, 0.0)
-                # A row that ran over may lack what the other end lists.
+                # A row that overflowed may lack a pair that the other end lists.
                 if slow and waited > law.activation_time and lists(rows, j, i):
                     rest_length = distance
                     waited = 0.0
@@ -133,7 +133,7 @@ class BondConstraints:
     """The semi-permanent distance constraints of all pairs.
 
     Args:
-        particles: What they act on.
+        particles: The particles that they act on.
     """
 
     def __init__(self, particles: Particles) -> None:
@@ -157,13 +157,13 @@ class BondConstraints:
         return law
 
     def activate_all(self, rows: Rows) -> None:
-        """Bond what is slow at the beginning without waiting."""
+        """Bond all pairs that are slow at the start, without waiting."""
         law = self._law()
         law.time_step = 1.0
         self._switch(rows, law)
 
     def begin_substep(self, rows: Rows, time_step: float) -> None:
-        """Let bonds come and go by the rates at the beginning of a substep."""
+        """Activate and release bonds by the rates at the start of a substep."""
         law = self._law()
         law.time_step = time_step
         # Half a substep of slack: sums of a substep's length must not miss by rounding.
@@ -175,8 +175,8 @@ class BondConstraints:
         """Solve once for all bonds.
 
         Args:
-            rows: Neighbours and their bonds.
-            displacement: Since the beginning of the substep [m], read.
+            rows: Neighbors and their bonds.
+            displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """
         particles = self.particles

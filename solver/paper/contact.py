@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Contact and friction of the paper's clay (section III-D): ghost particles and sliding anchors.
 
-Each constraint is impenetrability against one ghost particle: n · (x - g) >= R with the ghost's own
-normal, so that it only ever repels to the outside, and, where the particle is beside the ghost as
-at the rim of a face, the distance |x - g| >= R. An infinite plane has a ghost directly below every
-particle. R is half the spacing: a particle rests with its ball on the surface.
-Friction pulls a particle to its anchor, by no more than μ times what impenetrability pushed it.
+Each constraint is impenetrability against one ghost particle: n · (x - g) >= R with the ghost's
+normal, so that it only ever repels to the outside, or the distance |x - g| >= R where the particle
+is beside the ghost, as at the rim of a face. An infinite plane has a ghost directly below every
+particle. R is half the spacing: the ball of a resting particle touches the surface. Friction pulls
+a particle to its anchor, by no more than μ times the projection by impenetrability.
 
 Where the paper is silent:
 
-- The limit of friction is on the sums over a substep's iterations. Iteration by iteration it would
+- Friction is limited over the sum of a substep's iterations. Limited in each iteration, it would
   vanish as impenetrability converges.
-- A new anchor lies where the particle met the surface, not above a ghost that is up to a ghost
-  spacing aside. It moves with the surface, and keeps its place when another ghost takes over.
-- What begins a substep inside is moved out no faster than `DEPENETRATION_SPEED`.
+- A new anchor lies where the particle met the surface, not at the ghost, which may be a ghost
+  spacing away. It moves with the surface, and keeps its place when another ghost takes over.
+- Particles that start a substep inside are moved out no faster than `DEPENETRATION_SPEED`.
 """
 
 import numpy as np
@@ -26,16 +26,16 @@ from ..core.particles import Particles
 from ..hand.ghosts import GhostMesh, rasterize_ghosts
 from .contact_search import (
     ANCHOR_MEMORY,
-    MOST_CONTACTS,
-    GhostContacts,
+    MAX_CONSTRAINTS,
+    GhostConstraints,
     find_ghost_contacts,
     find_plane_constraints,
 )
 
 GHOST_SPACING = 1.0
-"""Distance of ghosts over a particle's radius."""
+"""Distance between ghosts, over a particle's radius."""
 REACH = 3.0
-"""Ghosts are looked for this far around a particle's predicted place, over its radius."""
+"""Search radius for ghosts around a particle's predicted position, over its radius."""
 
 
 @wp.kernel(enable_backward=False)
@@ -44,14 +44,14 @@ def project_contacts(
     friction: wp.array2d[float],
     material: wp.array[int],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Project each particle out of its ghosts, then towards its anchors."""
     i = wp.tid()
     moved = displacement[i]
     for k in range(slots.count[i]):
         n = slots.normal[i, k]
-        # Where the ball already lay inside, only part of the way out is asked for.
+        # A ball that already lay inside is moved only part of the way out.
         start = slots.gap[i, k] + wp.dot(slots.surface_motion[i, k], n)
         allowed = wp.min(start + DEPENETRATION_SPEED * common.time_step, 0.0)
         depth = allowed - slots.gap[i, k] - wp.dot(moved, n)
@@ -78,13 +78,13 @@ def settle_ghost_contacts(
     material: wp.array[int],
     mass: wp.array[float],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
     impulse: wp.array[wp.vec3d],
     deepest: wp.array[float],
 ) -> None:
     """Sum the impulses on colliders (eq. 6), and slide anchors.
 
-    An anchor ends no farther from its particle than friction has projected it in this substep.
+    An anchor ends no farther from its particle than friction moved the particle in this substep.
     """
     i = wp.tid()
     for k in range(slots.count[i]):
@@ -117,8 +117,8 @@ class PaperContacts:
     """Impenetrability and friction of all particles with all colliders.
 
     Args:
-        particles: What touches.
-        contacts: What is touched: the colliders, how they move, and where impulses are summed.
+        particles: The clay.
+        contacts: The colliders, their motion, and where impulses are summed.
     """
 
     def __init__(self, particles: Particles, contacts: Contacts) -> None:
@@ -136,8 +136,8 @@ class PaperContacts:
                 )
                 self.ghosts.append(GhostMesh(ghosts, self.reach, device))
                 self._carried.append(None)
-        rows = (particles.count if contacts.colliders else 0, MOST_CONTACTS)
-        slots = GhostContacts()
+        rows = (particles.count if contacts.colliders else 0, MAX_CONSTRAINTS)
+        slots = GhostConstraints()
         for name, dtype in (
             ("collider", int),
             ("ghost", int),
@@ -159,11 +159,11 @@ class PaperContacts:
         self.slots = slots
 
     def find(self, common: ContactPass, displacement: wp.array) -> None:
-        """Find the constraints of a substep; those that were there before keep their anchors.
+        """Find the constraints of a substep; those that existed before keep their anchors.
 
         Args:
             common: The substep.
-            displacement: Predicted, without any constraint [m].
+            displacement: Predicted without constraints [m].
         """
         contacts, slots = self.contacts, self.slots
         if not contacts.colliders:
@@ -175,8 +175,8 @@ class PaperContacts:
         if contacts.meshes:
             self._carry_ghosts()
             first = len(contacts.colliders) - len(self.ghosts)
-            for which, ghosts in enumerate(self.ghosts):
-                if not contacts.meshes.moving[which].enabled:
+            for row, ghosts in enumerate(self.ghosts):
+                if not contacts.meshes.moving[row].enabled:
                     continue
                 wp.launch(
                     find_ghost_contacts,
@@ -184,8 +184,8 @@ class PaperContacts:
                     inputs=[
                         common,
                         contacts.meshes.substep,
-                        first + which,
-                        which,
+                        first + row,
+                        row,
                         contacts.meshes.pose,
                         self.reach,
                         ghosts.grid.id,
@@ -206,22 +206,22 @@ class PaperContacts:
             )
 
     def _carry_ghosts(self) -> None:
-        """Move ghosts where a mesh has changed its shape; its pose moves them without."""
+        """Move ghosts of meshes that changed shape; rigid motion is in the pose."""
         meshes = self.contacts.meshes
         assert meshes is not None
-        for which, (ghosts, moving) in enumerate(zip(self.ghosts, meshes.moving, strict=True)):
+        for row, (ghosts, moving) in enumerate(zip(self.ghosts, meshes.moving, strict=True)):
             deforms = moving.start is not None
-            if deforms or self._carried[which] is not moving.shape.vertices:
-                ghosts.carry(moving.mesh, meshes.orientation, which)
+            if deforms or self._carried[row] is not moving.shape.vertices:
+                ghosts.carry(moving.mesh, meshes.orientation, row)
                 # The step after a change of shape puts the vertices exactly in place.
-                self._carried[which] = None if deforms else moving.shape.vertices
+                self._carried[row] = None if deforms else moving.shape.vertices
 
     def project(self, common: ContactPass, displacement: wp.array) -> None:
         """Solve once for impenetrability and friction, in place.
 
         Args:
             common: The substep.
-            displacement: Since the beginning of the substep [m].
+            displacement: Since the start of the substep [m].
         """
         if not self.contacts.colliders:
             return
@@ -260,14 +260,14 @@ class PaperContacts:
         )
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Anchors, and what they hold on to."""
+        """Anchors and their contacts."""
         if not self.contacts.colliders:
             return {}
         names = ("count", "collider", "normal", "stretch", "idle")
         return {f"anchor_{name}": getattr(self.slots, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         if not self.contacts.colliders:
             return
         for name in ("count", "collider", "normal", "stretch", "idle"):

@@ -1,31 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which ghost particles a particle of the paper's clay meets in a substep.
+"""Search for the ghost particles that a particle of the paper's clay meets in a substep.
 
 Section III-D of the paper sets a constraint for every ghost within a radius. Here a particle meets
-the nearest ghost of a mesh, and others only where it is outside of them and their normals differ,
-as in a corner: many ghosts of one face would say the same, and those of a rim's other face would
-push aside what lies on this one.
+the nearest ghost of a mesh, and others only if it is outside them and their normals differ, as in a
+corner: many ghosts of one face would be redundant, and those of the other face of a rim would push
+away particles that lie on this one.
 """
 
 import warp as wp
 
 from ..contact.law import ContactPass
 
-MOST_CONTACTS = 4
-"""Constraints that a particle can have at once."""
-MOST_MESH_CONTACTS = 3
-"""Of these with one mesh: a corner has three faces."""
+MAX_CONSTRAINTS = 4
+"""Largest number of constraints of a particle."""
+MAX_MESH_CONSTRAINTS = 3
+"""Largest number of them with one mesh: a corner has three faces."""
 DIFFERENT_NORMALS = 0.7
-"""Ghosts whose normals have a cosine below this are of different faces."""
+"""Cosine of two normals below which ghosts belong to different faces."""
 BESIDE = 0.75
-"""A particle this far beside the nearest ghost, in radii, is off a rim: ghosts lie closer."""
+"""Lateral distance from the nearest ghost beyond which a particle is off a rim, in radii."""
 ANCHOR_MEMORY = 2
 """An anchor is dropped after this many substeps without contact."""
 
 
 @wp.struct
-class GhostContacts:
-    """Constraints of all particles, `MOST_CONTACTS` for each."""
+class GhostConstraints:
+    """Constraints of all particles, `MAX_CONSTRAINTS` for each."""
 
     count: wp.array[int]
     collider: wp.array2d[int]
@@ -33,11 +33,11 @@ class GhostContacts:
     """Index among the ghosts of its mesh; -1 on a plane."""
     normal: wp.array2d[wp.vec3]
     gap: wp.array2d[float]
-    """Between the ball where it is now and the surface at the substep's end [m]."""
+    """Gap between the ball's current position and the surface at the substep's end [m]."""
     surface_motion: wp.array2d[wp.vec3]
-    """What the surface moves in this substep [m]."""
+    """Motion of the surface in this substep [m]."""
     stretch: wp.array2d[wp.vec3]
-    """From the anchor to the particle, at the substep's beginning [m]."""
+    """Offset from the anchor to the particle at the start of the substep [m]."""
     idle: wp.array2d[int]
     """Substeps since the particle was last pushed."""
     push: wp.array2d[float]
@@ -53,7 +53,7 @@ class GhostContacts:
 
 @wp.func
 def add_constraint(
-    slots: GhostContacts,
+    slots: GhostConstraints,
     i: int,
     collider: int,
     ghost: int,
@@ -61,9 +61,9 @@ def add_constraint(
     gap: float,
     surface_motion: wp.vec3,
 ) -> None:
-    """Give a particle a constraint, with the anchor it had on that side of the collider."""
+    """Add a constraint to a particle, with the anchor it had on that side of the collider."""
     used = slots.count[i]
-    if used < MOST_CONTACTS:
+    if used < MAX_CONSTRAINTS:
         slots.collider[i, used] = collider
         slots.ghost[i, used] = ghost
         slots.normal[i, used] = normal
@@ -91,7 +91,7 @@ def find_ghost_contacts(
     common: ContactPass,
     substep: wp.array[int],
     collider: int,
-    which: int,
+    row: int,
     pose: wp.array2d[wp.transform],
     reach: float,
     grid: wp.uint64,
@@ -100,12 +100,12 @@ def find_ghost_contacts(
     ghost_drift: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Find the ghosts of one mesh that a particle may meet in this substep, the nearest first."""
     i = wp.tid()
-    before = pose[which, substep[0]]
-    after = pose[which, substep[0] + 1]
+    before = pose[row, substep[0]]
+    after = pose[row, substep[0] + 1]
     local = wp.transform_point(wp.transform_inverse(after), position[i] + displacement[i])
     first = slots.count[i]
     searching = bool(True)
@@ -117,7 +117,7 @@ def find_ghost_contacts(
             above = wp.dot(offset, ghost_normal[g])
             beside = wp.length(offset - ghost_normal[g] * above)
             off_rim = beside > BESIDE * common.radius
-            # How near the surface is that the ghost stands for. What lies beside counts half: with
+            # Distance of the surface that the ghost represents. The lateral part counts half: with
             # less, a round tool's farthest tangent plane would win, with more a rim's other face.
             distance = above * above + 0.5 * beside * beside
             if off_rim:
@@ -149,7 +149,8 @@ def find_ghost_contacts(
             if near:
                 add_constraint(slots, i, collider, chosen, normal, gap, place - start)
                 searching = (
-                    slots.count[i] < MOST_CONTACTS and slots.count[i] - first < MOST_MESH_CONTACTS
+                    slots.count[i] < MAX_CONSTRAINTS
+                    and slots.count[i] - first < MAX_MESH_CONSTRAINTS
                 )
 
 
@@ -160,7 +161,7 @@ def find_plane_constraints(
     plane_normal: wp.array[wp.vec3],
     position: wp.array[wp.vec3],
     displacement: wp.array[wp.vec3],
-    slots: GhostContacts,
+    slots: GhostConstraints,
 ) -> None:
     """Find the planes that a particle may meet in this substep."""
     i = wp.tid()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Incompressibility of the paper's clay: a constraint on each particle's density.
 
-After Macklin and Müller, *Position Based Fluids*, ACM Transactions on Graphics 32(4), 2013,
-doi 10.1145/2461912.2461984, which section III-B of the paper refers to. One-sided: clay resists
-being compressed, so that its surface does not clump.
+After Macklin and Müller, *Position Based Fluids*, ACM Transactions on Graphics 32(4), 2013, doi
+10.1145/2461912.2461984, which section III-B of the paper refers to. One-sided: clay only resists
+compression, so that its surface does not clump.
 """
 
 import math
@@ -16,23 +16,23 @@ from .kernel import KERNEL_RADIUS, cubic_gradient, cubic_kernel
 from .neighbors import Support
 
 RELAXATION_TIME = 0.004
-"""A substep corrects the part Δt over this of a change of volume, at most all of it [s]."""
-MOST_COMPRESSION = 0.2
-"""Compression that is corrected at once; more would throw particles apart."""
+"""A substep Δt corrects the share Δt over this of a change of volume, at most all of it [s]."""
+MAX_COMPRESSION = 0.2
+"""Largest compression that is corrected at once; more would throw particles apart."""
 REGULARIZATION = 1e-3
-"""Added to the denominator, over that of a full lattice."""
+"""Added to the denominator, relative to that of a full lattice."""
 
 
 @wp.struct
 class Density:
-    """What all density constraints share, for one time step."""
+    """Parameters of all density constraints for one time step."""
 
     volume: float
     """Volume of a particle [m³]."""
     kernel_radius: float
     """[m]"""
     fraction: float
-    """Part of a change of volume that one substep corrects."""
+    """Share of a change of volume that one substep corrects."""
     regularization: float
     """[1/(kg m²)]"""
 
@@ -66,7 +66,7 @@ def solve_density(
     compression[i] = constraint
     multiplier[i] = (
         -density.fraction
-        * wp.min(constraint, MOST_COMPRESSION)
+        * wp.min(constraint, MAX_COMPRESSION)
         / (denominator + density.regularization)
     )
 
@@ -98,7 +98,7 @@ class DensityConstraints:
     """The density constraints of all particles.
 
     Args:
-        particles: What they act on.
+        particles: The particles that they act on.
     """
 
     def __init__(self, particles: Particles) -> None:
@@ -112,19 +112,19 @@ class DensityConstraints:
             particles.spacing, particles.least_mass
         )
         self.compression = wp.zeros(count, dtype=float, device=device)
-        """Density over that at rest, less one, where positive; as last looked at."""
+        """Relative excess of density over that at rest, at least 0; as last evaluated."""
         self._multiplier = wp.zeros(count, dtype=float, device=device)
 
     def begin_substep(self, time_step: float) -> None:
-        """Set what a substep of this length may correct."""
+        """Set the share that a substep of this length corrects."""
         self.density.fraction = min(1.0, time_step / RELAXATION_TIME)
 
     def project(self, support: Support, displacement: wp.array, corrected: wp.array) -> None:
         """Solve once for all densities.
 
         Args:
-            support: Neighbours within the kernel.
-            displacement: Since the beginning of the substep [m], read.
+            support: Neighbors within the kernel.
+            displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """
         particles = self.particles

@@ -19,7 +19,7 @@ from .neighbors import NeighborRows
 from .viscosity import ViscosityConstraints
 
 SKIN = 0.3
-"""Extra reach of neighbour rows, in spacings."""
+"""Extra reach of neighbor rows, in spacings."""
 
 
 @wp.kernel(enable_backward=False)
@@ -45,38 +45,37 @@ def update_velocity(
 
 
 ITERATIONS = 4
-"""Relaxation iterations in a substep, where the settings do not say."""
+"""Relaxation iterations in a substep if the settings do not specify them."""
 
 
 class PaperModel:
     """Position-based clay: density, viscosity, elastoplasticity and contact as constraints.
 
-    Algorithm 1 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-    WHC 2021: predict, project the types of constraints one after the other and all constraints of
-    a type at once, update velocities. `Settings.iterations` are its relaxation iterations,
-    `Settings.substeps` its time steps in 1/60 s. Where the paper leaves a choice, the file of each
-    constraint says which was made.
+    Algorithm 1 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*, WHC
+    2021: predict, project one type of constraint after another and all constraints of a type at
+    once, update velocities. `Settings.iterations` are its relaxation iterations,
+    `Settings.substeps` its time steps in 1/60 s. Where the paper leaves a choice, the module of
+    each constraint documents the one made here.
 
     Example::
 
         solver = Solver(scene, Settings(model="paper"))
         ablated = Solver(scene, Settings(model="paper", viscosity=False))
 
-    *Limitations*: of a `Material` only density and friction count; the clay is as stiff as
-    spacing, substeps and iterations make it. At 8 substeps of 4 iterations a cube of 4 cm leans by
-    .06 of its size on an incline of 15° at a spacing of 5 mm, by .03 at 10 mm and by .27 at
-    2.5 mm; at 4 substeps it gives way. Clay yields by its rate of strain, not by stress: where a
-    ball was pressed in by 10 mm, .95 of the dent springs back at 15 mm/s, .7 at 50, .4 at 150 and
-    .1 at 300. Velocities are differences of positions,
-    which damps rotation, by 1/√(1 + 2 ω² Δt t).
-    What lies deeper in a mesh than one and a half spacings is not found and not moved out.
-    Particles at one point stay together: a kernel has no gradient there.
+    *Limitations*: only density and friction of a `Material` have an effect; the stiffness depends
+    on spacing, substeps and iterations. At 8 substeps of 4 iterations a cube of 4 cm leans by .06
+    of its size on an incline of 15° at a spacing of 5 mm, by .03 at 10 mm and by .27 at 2.5 mm; at
+    4 substeps it collapses. Clay yields by its rate of strain, not by stress: where a ball was
+    pressed in by 10 mm, .95 of the dent springs back at 15 mm/s, .7 at 50, .4 at 150 and .1 at 300.
+    Velocities are differences of positions, which damps rotation, by 1/√(1 + 2 ω² Δt t). Particles
+    deeper in a mesh than one and a half spacings are not found and not moved out. Particles at the
+    same point stay together: the kernel has no gradient there.
 
     Args:
-        scene: Not used: all that counts of its materials is with the particles.
-        particles: What the clay consists of.
-        contacts: What it touches.
-        settings: How finely to work, and which of the constraints to leave out.
+        scene: Not used: the particles hold everything needed of its materials.
+        particles: The clay.
+        contacts: The colliders.
+        settings: Resolution in time, and which constraints to leave out.
     """
 
     def __init__(
@@ -87,7 +86,7 @@ class PaperModel:
         count, spacing, device = particles.count, particles.spacing, particles.device
         self.device = device
         self.displacement = wp.zeros(count, dtype=wp.vec3, device=device)
-        """Since the beginning of the substep [m]: small numbers, which float32 resolves."""
+        """Since the start of the substep [m]: small numbers, which float32 resolves."""
         self._spare = wp.zeros(count, dtype=wp.vec3, device=device)
         self.neighbors = NeighborRows(
             count, spacing, KERNEL_RADIUS * spacing, SKIN * spacing, device
@@ -103,7 +102,7 @@ class PaperModel:
 
     @property
     def can_sleep(self) -> bool:
-        """All of it moves, or none of it: its passes work on all particles."""
+        """Always false: its passes work on all particles."""
         return False
 
     def rest(self, resting: NDArray, time_step: float) -> None:
@@ -126,7 +125,7 @@ class PaperModel:
         """Carry out algorithm 1 once."""
         particles, time_step = self.particles, substep.time_step
         self.neighbors.begin_substep(particles.position)
-        # As printed, gravity acts for the whole of every step.
+        # As printed, gravity acts during the whole step.
         particles.fall_freely(time_step, time_step)
         wp.launch(
             predict_displacement,
@@ -142,8 +141,8 @@ class PaperModel:
             self.bonds.begin_substep(self.neighbors.rows, time_step)
         rows, support = self.neighbors.rows, self.neighbors.support
         for _iteration in range(self.settings.iterations or ITERATIONS):
-            # Viscosity sees no displacement but motion only while density and distance
-            # constraints have not begun to pull against each other: after them it feeds on that.
+            # Viscosity comes first, while displacements are motion only: after density and distance
+            # constraints it would act on their pull against each other.
             if self.viscosity:
                 self.viscosity.project(support, self.displacement, self._spare)
                 self._take_corrected()
@@ -166,17 +165,17 @@ class PaperModel:
         self.displacement, self._spare = self._spare, self.displacement
 
     def compression(self) -> NDArray:
-        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+        """Each particle's relative excess of density over that at rest, at least 0; shape [N]."""
         return self.density.compression.numpy()
 
     @property
     def overflow(self) -> int:
-        """Neighbours that found no room, since the beginning."""
+        """Number of neighbors that found no free slot, since the start."""
         return self.neighbors.overflow
 
     def passes(self) -> list[str]:
-        """What a substep consists of."""
-        names = ["neighbour rows", "density"]
+        """Names of the passes of a substep."""
+        names = ["neighbor rows", "density"]
         if self.viscosity:
             names.append("viscosity")
         if self.bonds:
@@ -192,7 +191,7 @@ class PaperModel:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         self.density.compression.assign(state["compression"])
         self.neighbors.restore(state)
         self.contact.restore(state)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Neighbour rows of the paper's clay: who is within the kernel's reach, and which pairs are bonded.
+"""Neighbor rows of the paper's clay: pairs within the kernel's reach, and which of them are bonded.
 
-Both ends of a pair keep their own copy of what they know of it, and reach the same decisions from
-the same numbers, so that no pass needs atomics and results do not depend on the order of threads.
+Both ends of a pair keep their own copy of its state and reach the same decisions from the same
+numbers, so that no pass needs atomics and results do not depend on the order of threads.
 """
 
 import numpy as np
@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 from .kernel import cubic_gradient
 
 SLOTS = 96
-"""Neighbours that a particle can list: clay at three times its density."""
+"""Largest number of neighbors of a particle: clay at three times its density."""
 SUPPORT_SLOTS = 64
-"""Of these within the kernel's support: clay at twice its density."""
+"""Largest number of them within the kernel's support: clay at twice its density."""
 _GRID_CELLS = 64
 
 
 @wp.struct
 class Rows:
-    """A row of neighbours for each particle, bonded ones first."""
+    """A row of neighbors for each particle, bonded ones first."""
 
     count: wp.array[int]
     index: wp.array2d[int]
     rest_length: wp.array2d[float]
     """Rest length of a bond [m]; 0 for a pair without one."""
     waited: wp.array2d[float]
-    """How long the pair's rate has asked for the other state [s]."""
+    """How long the pair's rate has been past the threshold for the other state [s]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -39,7 +39,7 @@ def fill_rows(
     listed: Rows,
     overflow: wp.array[int],
 ) -> None:
-    """List each particle's neighbours within reach, and take over what is known of the pairs."""
+    """List each particle's neighbors within reach, and keep the state of known pairs."""
     i = wp.tid()
     x = position[i]
     used = int(0)
@@ -73,7 +73,7 @@ def fill_rows(
 
 @wp.struct
 class Support:
-    """The neighbours of each particle within the kernel's support at a substep's beginning."""
+    """The neighbors of each particle within the kernel's support at the start of a substep."""
 
     count: wp.array[int]
     index: wp.array2d[int]
@@ -90,7 +90,7 @@ def gather_support(
     support: Support,
     overflow: wp.array[int],
 ) -> None:
-    """Pick the neighbours within the kernel's support, and their kernel gradients."""
+    """Pick the neighbors within the kernel's support, and compute their kernel gradients."""
     i = wp.tid()
     used = int(0)
     for slot in range(rows.count[i]):
@@ -110,11 +110,11 @@ def gather_support(
 def measure_displacement(
     position: wp.array[wp.vec3],
     listed_position: wp.array[wp.vec3],
-    largest: wp.array[float],
+    max_displacement: wp.array[float],
 ) -> None:
     """Find how far any particle has moved since the rows were filled."""
     i = wp.tid()
-    wp.atomic_max(largest, 0, wp.length(position[i] - listed_position[i]))
+    wp.atomic_max(max_displacement, 0, wp.length(position[i] - listed_position[i]))
 
 
 class NeighborRows:
@@ -122,9 +122,9 @@ class NeighborRows:
 
     Args:
         particle_count: Number of particles.
-        spacing: Distance of particles at rest [m].
+        spacing: Distance between particles at rest [m].
         kernel_radius: Support of the kernel [m], the distance within which pairs interact.
-        skin: Extra distance listed [m]; rows stay valid until a particle moved half of it.
+        skin: Extra distance listed [m]; rows stay valid until a particle has moved half of it.
         device: Warp device.
     """
 
@@ -183,7 +183,7 @@ class NeighborRows:
         wp.copy(self.listed_position, position)
 
     def _rebuild_if_moved(self, position: wp.array) -> None:
-        """Refill the rows where a particle has used up its half of the skin."""
+        """Refill the rows if a particle has used up its half of the skin."""
         self._largest.zero_()
         wp.launch(
             measure_displacement,
@@ -213,11 +213,11 @@ class NeighborRows:
 
     @property
     def overflow(self) -> int:
-        """Neighbours that found no free slot, since the beginning."""
+        """Number of neighbors that found no free slot, since the start."""
         return int(self._overflow.numpy()[0])
 
     def snapshot(self) -> dict[str, NDArray]:
-        """State that decides what the next passes do; rows one behind the other."""
+        """State that determines the next passes; rows one after another."""
         count = self.rows.count.numpy().copy()
         used = np.arange(SLOTS) < count[:, None]
         return {
@@ -230,7 +230,7 @@ class NeighborRows:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         count = state["neighbor_count"]
         used = np.arange(SLOTS) < count[:, None]
         self.rows.count.assign(count)

@@ -5,9 +5,9 @@ Where the paper is silent:
 
 - Kernel gradients are corrected to be exact for linear fields (Bonet and Lok, 1999,
   doi 10.1016/S0045-7825(99)00051-1). Without that a rigidly turning block strains at its surface,
-  and each projection costs angular momentum. They are those of the substep's beginning.
+  and each projection costs angular momentum. They are computed at the start of the substep.
 - The rotational part x^r of a displacement is read as the rotation of the particle's own
-  neighbourhood, the rotation in the polar decomposition F = R U of the deformation in the substep;
+  neighborhood, the rotation in the polar decomposition F = R U of the deformation in the substep;
   with v = (x - x^r) / Δt eq. 3 becomes S = 2 (U - I) = 0, which holds for every rigid motion.
 - The six rows of S share one denominator, eq. 2's for the whole matrix: solving rows one by one
   or as a 6 x 6 block gains nothing under Jacobi iteration.
@@ -20,19 +20,19 @@ from .neighbors import Support
 
 RELAXATION = 1.2
 """Over-relaxation of the Jacobi iteration; it diverges above 1.48 on a lattice."""
-LEAST_EIGENVALUE = 0.15
-"""Directions in which a particle has fewer neighbours than this part of a full set carry none."""
+MIN_EIGENVALUE = 0.15
+"""Directions in which a particle has less than this share of a full set of neighbors carry none."""
 POLAR_ITERATIONS = 2
-"""Newton steps to the rotation, from none; a substep turns clay by a small angle."""
+"""Newton steps to the rotation, from the identity; a substep turns clay by a small angle."""
 
 
 @wp.func
 def correction_matrix(moment: wp.mat33) -> wp.mat33:
-    """Inverse of a symmetric matrix, leaving out directions of small eigenvalues."""
+    """Pseudo-inverse of a symmetric matrix, without directions of small eigenvalues."""
     axes, eigenvalues = wp.eig3(moment)
     inverse = wp.mat33()
     for k in range(3):
-        if eigenvalues[k] > LEAST_EIGENVALUE:
+        if eigenvalues[k] > MIN_EIGENVALUE:
             axis = wp.vec3(axes[0, k], axes[1, k], axes[2, k])
             inverse += wp.outer(axis, axis) / eigenvalues[k]
     return inverse
@@ -40,10 +40,10 @@ def correction_matrix(moment: wp.mat33) -> wp.mat33:
 
 @wp.func
 def rotation_of(deformation: wp.mat33) -> wp.mat33:
-    """Rotation in the polar decomposition of a deformation, of one that knows few directions too.
+    """Rotation in the polar decomposition of a deformation, which may be of deficient rank.
 
-    Newton's method for the rotation R that has the largest trace of RᵀF; about axes that F says
-    nothing of, R does not turn.
+    Newton's method for the rotation R that maximizes the trace of RᵀF; R does not turn about axes
+    that F does not determine.
     """
     rotation = wp.identity(n=3, dtype=float)
     for _step in range(POLAR_ITERATIONS):
@@ -69,9 +69,9 @@ def prepare_viscosity(
     known: wp.array[wp.mat33],
     denominator: wp.array[float],
 ) -> None:
-    """Gradient correction and eq. 2's denominator, from positions at the substep's beginning.
+    """Gradient correction and eq. 2's denominator, from positions at the start of the substep.
 
-    ``known`` projects on the directions in which a particle has enough neighbours.
+    ``known`` projects onto the directions in which a particle has enough neighbors.
     """
     i = wp.tid()
     moment = wp.mat33()
@@ -100,9 +100,10 @@ def solve_viscosity(
     denominator: wp.array[float],
     multiplier: wp.array[wp.mat33],
 ) -> None:
-    """The strain of each particle's neighbourhood in this substep, and what would undo it.
+    """Strain of each particle's neighborhood in this substep, and the multiplier that would undo
+    it.
 
-    The multiplier is turned back into the world and has the gradient correction in it.
+    The multiplier is rotated back into the world and includes the gradient correction.
     """
     i = wp.tid()
     gradient = wp.mat33()
@@ -141,7 +142,7 @@ class ViscosityConstraints:
     """The viscosity constraints of all particles.
 
     Args:
-        particles: What they act on.
+        particles: The particles that they act on.
     """
 
     def __init__(self, particles: Particles) -> None:
@@ -153,7 +154,7 @@ class ViscosityConstraints:
         self._multiplier = wp.zeros(count, dtype=wp.mat33, device=device)
 
     def begin_substep(self, support: Support) -> None:
-        """Correct gradients for the positions at the beginning of a substep."""
+        """Correct gradients for the positions at the start of a substep."""
         particles = self.particles
         wp.launch(
             prepare_viscosity,
@@ -174,8 +175,8 @@ class ViscosityConstraints:
         """Solve once for all strain rates.
 
         Args:
-            support: Neighbours within the kernel.
-            displacement: Since the beginning of the substep [m], read.
+            support: Neighbors within the kernel.
+            displacement: Since the start of the substep [m], read.
             corrected: The same after the projection [m], written.
         """
         particles = self.particles

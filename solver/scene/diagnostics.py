@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a solver tells about its own state."""
+"""What a solver reports about its own state."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Figures of the last step, and counts since the beginning."""
+    """Figures of the last step, and counts since the start."""
 
     time: float
     """Simulated time [s]."""
@@ -19,19 +19,19 @@ class Diagnostics:
     substeps: int
     """Substeps of the last step."""
     volume_error: float
-    """Mean compression of the clay: 0.01 is one percent too dense."""
+    """Mean compression of the clay: 0.01 means one percent too dense."""
     max_penetration: float
-    """Deepest that a particle's ball lay inside a collider in the last step [m]."""
+    """Deepest penetration of a particle into a collider in the last step [m]."""
     max_speed: float
     """Speed of the fastest particle [m/s]."""
     clamped: int
-    """Changes of velocity that were too large for one pass and were shortened."""
+    """Number of velocity changes that were too large for one pass and were limited."""
     overflow: int
-    """Neighbours that found no free slot."""
+    """Number of neighbors that found no free slot."""
     quarantined: int
-    """Times a particle was held in place because its new state was not finite."""
+    """Number of times a particle was held in place because its new state was not finite."""
     teleported: int
-    """Times a collider jumped too far to sweep there."""
+    """Number of times a collider jumped because it moved too far to be swept."""
 
     def as_dict(self) -> dict[str, float | int]:
         """The same, for JSON."""

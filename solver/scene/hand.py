@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A hand in a scene: where its bones are to be, and what it is made of."""
+"""A hand in a scene: where its bones go, and what it is made of."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from ..hand.rig import HandRig
 
 YOUNG_MODULUS = 5.0e4
-"""Of flesh under slow pressure [Pa]; soft tissue of fingertips and palms has 30 to 100 kPa."""
+"""Young's modulus of flesh under slow pressure [Pa]; fingertips and palms have 30 to 100 kPa."""
 POISSON_RATIO = 0.45
-"""Of flesh. Real flesh is nearly incompressible, which linear tetrahedra cannot be."""
-FARTHEST = 1.0e4
-"""Hands are nearer than this to the origin, in each coordinate [m]."""
-MOST_STRETCH = 4.0
-"""A bone may become this much longer or shorter than at rest."""
+"""Poisson's ratio of flesh. Real flesh is nearly incompressible, which linear tetrahedra cannot
+be."""
+MAX_DISTANCE = 1.0e4
+"""From a bone to the origin along each axis [m]; farther is taken for a mistake in units."""
+MAX_STRETCH = 4.0
+"""How many times longer or shorter than at rest a bone may become."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +31,16 @@ class HandContacts:
     normals: NDArray[np.float64]
     """Outward unit normals of the skin there, shape [G, 3]."""
     areas: NDArray[np.float64]
-    """Skin that each stands for at rest [m²], shape [G]; they add up to that of the hand."""
+    """Area of skin at rest that each stands for [m²], shape [G]; they add up to the hand's."""
     forces: NDArray[np.float64]
-    """Force of the clay on each [N], shape [G, 3]; they add up to that on the hand."""
+    """Force of the clay on each [N], shape [G, 3]; they add up to the force on the hand."""
 
 
 class Hand:
     """A hand with soft flesh on bones that are moved from outside.
 
-    Made by `Scene.add_hand`. Bones set between two steps are reached at the end of the next step,
-    evenly in between.
+    Made by `Scene.add_hand`. Bones set between two steps arrive at the end of the next step, and
+    move evenly on the way.
     """
 
     def __init__(
@@ -71,19 +72,44 @@ class Hand:
         """Whether it is known where the hand is."""
         return self._tracked
 
-    def set_bones(self, bones: Mapping[str, ArrayLike]) -> None:
-        """Move bones to poses by the end of the next step; those not named stay.
+    @property
+    def bone_names(self) -> tuple[str, ...]:
+        """Names of the B bones, in the order of the rig: parents before children."""
+        return self.rig.bone_names
+
+    def set_bones(self, bones: Mapping[str, ArrayLike] | ArrayLike) -> None:
+        """Move bones to poses by the end of the next step.
 
         Args:
-            bones: World from each bone's own coordinates, by name, shape [4, 4] each.
+            bones: World from each bone's own coordinates [m]: all bones in the order of
+                `bone_names`, shape [B, 4, 4], or those that move, by name, shape [4, 4] each.
 
         Raises:
-            ValueError: A bone that the rig does not have, or a matrix that is not 4×4, not finite,
-                not affine, mirrored, or stretched beyond reason. The hand keeps its last good pose,
-                of all bones.
+            ValueError: A bone that the rig does not have, another number of bones, or a matrix that
+                is not 4x4, not finite, not affine, mirrored, or stretched beyond reason. The hand
+                keeps its last good pose, of all bones.
         """
+        if isinstance(bones, Mapping):
+            rows, poses = self._named(bones)
+        else:
+            rows, poses = list(range(len(self._bones))), np.array(bones, np.float64)
+            if poses.shape != self._bones.shape:
+                raise ValueError(
+                    f"The poses of the bones have shape {poses.shape}; the hand has "
+                    f"{len(self._bones)} bones, so it must be {self._bones.shape}."
+                )
+        if not len(poses):
+            return
+        names = [self.bone_names[row] for row in rows]
+        self._check(poses, names, self._rest_inverse[rows])
         changed = self._bones.copy()
-        for name, pose in bones.items():
+        changed[rows] = poses
+        self._bones = changed
+
+    def _named(self, bones: Mapping[str, ArrayLike]) -> tuple[list[int], NDArray[np.float64]]:
+        """Rows and poses of bones given by name, shape [n] and [n, 4, 4]."""
+        rows, poses = [], np.empty((len(bones), 4, 4))
+        for number, (name, pose) in enumerate(bones.items()):
             if name not in self._index:
                 known = ", ".join(self._index)
                 raise ValueError(f"The hand has no bone {name!r}; it has {known}.")
@@ -92,15 +118,12 @@ class Hand:
                 raise ValueError(
                     f"The pose of bone {name!r} has shape {matrix.shape}; it must be a 4x4 matrix."
                 )
-            changed[self._index[name]] = matrix
-        rows = [self._index[name] for name in bones]
-        if not rows:
-            return
-        self._check(changed[rows], list(bones), self._rest_inverse[rows])
-        self._bones = changed
+            rows.append(self._index[name])
+            poses[number] = matrix
+        return rows, poses
 
     @staticmethod
-    def _check(poses: NDArray, names: list[str], rest_inverse: NDArray) -> None:
+    def _check(poses: NDArray, names: Sequence[str], rest_inverse: NDArray) -> None:
         kept = "The last good pose is kept."
         finite = np.isfinite(poses).all((1, 2))
         if not finite.all():
@@ -110,12 +133,12 @@ class Hand:
         if not affine.all():
             name = names[int(np.argmin(affine))]
             raise ValueError(f"The last row of bone {name!r}'s pose must be 0 0 0 1. {kept}")
-        near = (np.abs(poses[:, :3, 3]) < FARTHEST).all(1)
+        near = (np.abs(poses[:, :3, 3]) < MAX_DISTANCE).all(1)
         if not near.all():
             name = names[int(np.argmin(near))]
             raise ValueError(
-                f"The pose of bone {name!r} is farther than {FARTHEST:g} m away; are its units "
-                f"metres? {kept}"
+                f"The pose of bone {name!r} is farther than {MAX_DISTANCE:g} m away; are its units "
+                f"meters? {kept}"
             )
         turns = poses[:, :3, :3] @ rest_inverse[:, :3, :3]
         upright = np.linalg.det(turns) > 0.0
@@ -126,19 +149,19 @@ class Hand:
                 f"of the other side, or give every axis a scale above zero. {kept}"
             )
         scales = np.linalg.svd(turns, compute_uv=False)
-        within = (scales < MOST_STRETCH).all(1) & (scales > 1.0 / MOST_STRETCH).all(1)
+        within = (scales < MAX_STRETCH).all(1) & (scales > 1.0 / MAX_STRETCH).all(1)
         if not within.all():
             name = names[int(np.argmin(within))]
             raise ValueError(
-                f"The pose of bone {name!r} stretches it more than {MOST_STRETCH:g} times against "
+                f"The pose of bone {name!r} stretches it more than {MAX_STRETCH:g} times against "
                 f"its rest pose; bind the hand again at its new size. {kept}"
             )
 
     def set_tracked(self, tracked: bool) -> None:
         """Say whether it is known where the hand is.
 
-        A hand that is not stays where it was, and touches nothing. When it is known again, the hand
-        is at its bones' poses at once, and takes hold of the clay by and by: clay inside it is
-        moved out gently, and what moves it out is not reported as force.
+        A hand that is not tracked stays where it was and touches nothing. When tracking returns,
+        the hand is at its bones' poses at once and takes hold of the clay gradually: clay inside it
+        is moved out gently, and what moves it out is not reported as force.
         """
         self._tracked = bool(tracked)

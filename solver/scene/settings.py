@@ -11,8 +11,9 @@ BASE_STEP = 1.0 / 60.0
 MODELS = ("plastic_bonds", "paper")
 """Clay models: the default, and the paper's as printed."""
 DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
-"""What clay needs to look and feel right live. The paper's distance constraints are only as stiff
-as substeps and iterations make them: with less, a block of 4 cm gives way under its weight."""
+"""Substeps that clay needs to look and feel right live. The stiffness of the paper's distance
+constraints depends on substeps and iterations: with fewer, a block of 4 cm sags under its
+weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,18 +25,18 @@ class Settings:
     """
 
     substeps: int = cast(int, None)
-    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. Where not given,
-    those that the model needs."""
+    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. By default those of
+    `DEFAULT_SUBSTEPS`."""
     iterations: int | None = None
-    """Conjugate-gradient iterations in the second of a substep's two Newton steps, a third as many
-    in the first; where not given, as many as the clay's stiffness asks for. Relaxation iterations
-    of the model "paper", 4 where not given."""
+    """Conjugate-gradient iterations in the second of a substep's two Newton steps, with a third as
+    many in the first; by default as many as the clay's stiffness requires. For the model "paper",
+    relaxation iterations; by default 4."""
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
     """Resist flow with the material's viscosity; off, for ablation."""
     elastoplasticity: bool = True
-    """Hold shape by bonds that yield; off, the clay is a fluid."""
+    """Hold the shape by bonds that yield; off, the clay is a fluid."""
     friction: bool = True
     """Coulomb friction on colliders; off, everything slides."""
     sleeping: bool = True
@@ -59,5 +60,5 @@ QUALITIES = {
     "live": Settings(),
     "film": Settings(substeps=16),
 }
-"""The cheapest settings worth having, those for sculpting live, and the finest that the report
-tries, for rendering."""
+"""The coarsest useful settings, those for live sculpting, and the finest in the report, for
+rendering."""

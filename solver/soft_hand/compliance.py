@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much the skin of a hand gives to contacts: found by probing, and told to the particles.
+"""How much the skin of a hand gives under contacts: measured by probing, used by the particles.
 
-Flesh yields to what presses it. The implicit solve of a substep must know that the surface gives:
-otherwise stiff clay and soft flesh, solved for in turns, would each overshoot what the other did (a
+Flesh yields to pressure. The implicit solve of a substep must know that the surface gives;
+otherwise stiff clay and soft flesh, solved in turns, would each overshoot what the other did (a
 Robin condition for partitioned coupling: Badia, Nobile and Vergara, Journal of Computational
 Physics 227, 2008, doi 10.1016/j.jcp.2008.04.006). To a contact, the surface is a spring whose far
-end is where the surface would be without the contact's force. How stiff it is depends on all that
-presses nearby: each contact pushes by a newton, and what it gives way then is its compliance.
+end is where the surface would be without the contact's force. How stiff it is depends on
+everything that presses nearby: each contact pushes with one newton, and how far it then gives way
+is its compliance.
 """
 
 from typing import Any
@@ -19,36 +20,36 @@ from ..contact.law import ContactSlots, tangential
 from ..core.particles import Particles
 from ..core.recording import Recordings
 from ..core.vector_units import OPTIONS
-from .contact import Skin, part_felt, place_on_skin, whole_share
+from .contact import HandSkin, part_felt, place_on_skin, whole_share
 from .flesh import Flesh
 from .hold import Hold
 
 wp.set_module_options(OPTIONS)
 
 MEMORY = 0.5
-"""Of what particles are told, this much stays when it is found anew."""
+"""Weight of the old value when the compliance is measured again."""
 RANGE = (0.05, 30.0)
-"""Bounds of what particles are told, over what a lone one would be."""
+"""Bounds of the compliance that particles use, relative to that of a single contact."""
 TOLD = 0.5
-"""Part of the compliance that particles are told: the rest of it damps. With all of it contact
-would be a spring; with less than an eighth what flesh does would overshoot."""
+"""Share of the compliance that particles use; leaving out the rest damps. With all of it, contact
+would be an undamped spring; with less than an eighth, the flesh would overshoot."""
 
 
 @wp.struct
 class Probe:
-    """What contacts do to find out."""
+    """Forces and responses of a probe."""
 
     axis: wp.array[wp.vec3]
-    """Direction to probe along the skin; zero to probe across it."""
+    """Direction to probe along the skin; zero to probe normal to it."""
     load: wp.array[wp.vec3]
-    """What contacts would load nodes with if each pushed by 1 N [N]."""
+    """Load on nodes if each contact pushed with 1 N [N]."""
     response: wp.array[wp.vec2d]
-    """Work of that on what it moves the skin by [N m], and its square [N²], by bone."""
+    """Work of the probe on the motion of the skin [N m], and the squared force [N²], by bone."""
 
 
 @wp.func
 def probing(probe: Probe, normal: wp.vec3) -> wp.vec3:
-    """How a contact is probed: across the skin, or along it as far as the axis lies in it."""
+    """Force with which a contact is probed: normal to the skin, or the axis's part along it."""
     axis = probe.axis[0]
     if wp.length_sq(axis) > 0.0:
         return tangential(axis, normal)
@@ -56,8 +57,8 @@ def probing(probe: Probe, normal: wp.vec3) -> wp.vec3:
 
 
 @wp.kernel(enable_backward=False)
-def probe_skin(slots: ContactSlots, skin: Skin, probe: Probe) -> None:
-    """Load nodes as if each contact that pushes did so by one newton."""
+def probe_skin(slots: ContactSlots, skin: HandSkin, probe: Probe) -> None:
+    """Load nodes as if each pushing contact pushed with one newton."""
     i = wp.tid()
     for k in range(slots.count[i]):
         touches = slots.collider[i, k] == skin.collider
@@ -77,9 +78,9 @@ def probe_skin(slots: ContactSlots, skin: Skin, probe: Probe) -> None:
 
 @wp.kernel(enable_backward=False)
 def measure_response(
-    slots: ContactSlots, skin: Skin, response: wp.array[wp.vec3], probe: Probe
+    slots: ContactSlots, skin: HandSkin, response: wp.array[wp.vec3], probe: Probe
 ) -> None:
-    """Sum up what contacts give way, given what the probe moves the nodes by."""
+    """Sum how far contacts give way, given how far the probe moves the nodes."""
     i = wp.tid()
     for k in range(slots.count[i]):
         touches = slots.collider[i, k] == skin.collider
@@ -111,22 +112,22 @@ def spread_compliance(
 
 
 class SkinCompliance:
-    """What the faces of a hand's skin are told to give.
+    """The compliance of the faces of a hand's skin.
 
     Args:
         flesh: The flesh.
         skin: The skin on it.
         particles: The clay.
-        bones: Number of bones; what each carries gives alike.
-        faces: Where it is told [m/N]: flesh across and along the skin, joints likewise.
-        lone: What flesh gives to a lone particle, about [m/N].
-        lone_joint: What joints give to it, about [m/N].
+        bones: Number of bones; faces of the same bone have the same compliance.
+        faces: Where it is written [m/N]: flesh normal to and along the skin, joints likewise.
+        lone: Rough compliance of flesh under a single particle [m/N].
+        lone_joint: The same for joints [m/N].
     """
 
     def __init__(
         self,
         flesh: Flesh,
-        skin: Skin,
+        skin: HandSkin,
         particles: Particles,
         *,
         bones: int,
@@ -158,12 +159,12 @@ class SkinCompliance:
         nodes: NDArray[np.float64],
         hold: Hold | None,
     ) -> None:
-        """Find out anew, every second time: across the skin, and along it in two directions.
+        """Measure again, every second time: normal to the skin, and along it in two directions.
 
         Args:
             slots: The contacts.
-            force: On the whole hand [N], or in proportion to that; its direction counts.
-            nodes: Where the nodes of the flesh are [m], shape [N, 3].
+            force: On the whole hand, in any unit: only its direction counts.
+            nodes: Positions of the nodes of the flesh [m], shape [N, 3].
             hold: The springs of the joints.
         """
         self._turn = (self._turn + 1) % 8
@@ -182,23 +183,23 @@ class SkinCompliance:
         self._tell()
 
     def _press(self, slots: ContactSlots) -> None:
-        """Find what the flesh does when each contact pushes by a newton."""
+        """Solve for the flesh's response when each contact pushes with one newton."""
         probe = self._probe
         probe.load.zero_()
         self._launch(probe_skin, slots, self.skin, probe)
         self.flesh.respond(probe.load)
 
-    def _take_in(self, slots: ContactSlots, response: wp.array, which: int) -> None:
-        """Take in what the probe moves the nodes by [m], for one of the four compliances."""
+    def _take_in(self, slots: ContactSlots, response: wp.array, component: int) -> None:
+        """Blend in the probe's displacement of nodes [m], for one of the four compliances."""
         probe = self._probe
         probe.response.zero_()
         self._launch(measure_response, slots, self.skin, response, probe)
         work, square = probe.response.numpy().T
         known = square > 1e-9
         found = TOLD * np.divide(work, square, out=np.ones_like(work), where=known)
-        lone = self._lone[which]
+        lone = self._lone[component]
         found = np.clip(found, RANGE[0] * lone, RANGE[1] * lone)
-        told = self._told[:, which]
+        told = self._told[:, component]
         told[:] = np.where(known, told + (1.0 - MEMORY) * (found - told), lone)
 
     def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
@@ -211,18 +212,18 @@ class SkinCompliance:
         wp.launch(spread_compliance, dim=len(self._faces), inputs=inputs, device=self.device)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """What particles are told, and what is found next."""
+        """The compliances, and which is measured next."""
         return {"told": self._told.copy(), "turn": np.array(self._turn)}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         self._told = state["told"].copy()
         self._turn = int(state["turn"])
         self._tell()
 
 
 def _across(force: NDArray[np.float64], *, other: bool) -> NDArray[np.float64]:
-    """One of two directions across a force, shape [3]."""
+    """One of two unit vectors perpendicular to a force, shape [3]."""
     if not force.any():
         force = np.array((0.0, 0.0, 1.0))
     first = np.cross(force, np.eye(3)[np.abs(force).argmin()])

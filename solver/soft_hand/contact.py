@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """From contacts on the skin of a soft hand to its ghosts and the nodes of its flesh, and back.
 
-A particle presses with its whole face: what it does is shared among the ghosts around the point
-of contact, nearest most, and by each ghost among the four nodes of the tetrahedron that carries it
-(Barreiro, Torres and Otaduy, WHC 2021, section III-D). Nothing is lost on the way: forces on ghosts
-and on nodes add up to those on the particles, turned round.
+A particle presses with its whole face: its force is shared among the ghosts around the point of
+contact, the nearest getting most, and by each ghost among the four nodes of the tetrahedron that
+carries it (Barreiro, Torres and Otaduy, WHC 2021, section III-D). Nothing is lost: forces on ghosts
+and on nodes add up to the reaction to those on the particles.
 """
 
 import numpy as np
@@ -18,17 +18,17 @@ from ..hand.rig import HandRig
 wp.set_module_options(OPTIONS)
 
 GHOST_REACH = 0.6
-"""How far around a contact ghosts feel it, in spacings: the face of a particle reaches so far."""
+"""Radius around a contact in which ghosts feel it, in spacings: that of a particle's face."""
 _CHUNK = 256
-"""So many faces are compared with ghosts at a time."""
+"""Number of faces that are compared with ghosts at a time, to bound memory."""
 
 
 @wp.struct
-class Skin:
+class HandSkin:
     """The skin of a hand, and the ghosts on it."""
 
     collider: int
-    """Its place among all colliders."""
+    """Its index among all colliders."""
     face: wp.array[wp.vec3i]
     rest: wp.array[wp.vec3]
     """Vertices at rest [m]."""
@@ -38,13 +38,13 @@ class Skin:
     group: wp.array[int]
     """Bone that each face belongs to."""
     ghost_begin: wp.array[int]
-    """Where the ghosts around each face begin."""
+    """Index of the first ghost of each face in ``ghost``."""
     ghost: wp.array[int]
-    """Ghosts around faces."""
+    """Ghosts around faces, face by face."""
     ghost_rest: wp.array[wp.vec3]
     """[m]"""
     ghost_reach: float
-    """How far around a contact ghosts feel it [m]."""
+    """Radius around a contact in which ghosts feel it [m]."""
     ghost_tetrahedron: wp.array[wp.vec4i]
     """Nodes that carry each ghost."""
     ghost_weight: wp.array[wp.vec4]
@@ -52,28 +52,28 @@ class Skin:
 
 @wp.struct
 class HandForces:
-    """What clay does to a hand."""
+    """Forces of the clay on a hand."""
 
     impulse: wp.array[wp.vec3d]
-    """On each ghost in this step [N s]."""
+    """Impulse on each ghost in this step [N s]."""
     load: wp.array[wp.vec3]
-    """On each node in the last substep [N]."""
+    """Force on each node in the last substep [N]."""
     touched: wp.array[int]
-    """Number of contacts in the last substep that push."""
+    """Number of pushing contacts in the last substep."""
     deepest: wp.array[float]
-    """How far any ball lay inside in the last substep [m]."""
+    """Deepest penetration of a particle in the last substep [m]."""
 
 
 @wp.kernel(enable_backward=False)
 def carry_skin(
-    skin: Skin,
+    skin: HandSkin,
     position: wp.array[wp.vec3],
-    which: int,
+    row: int,
     points: wp.array[wp.vec3],
     motion: wp.array[wp.vec3],
     travel: wp.array[float],
 ) -> None:
-    """Let nodes carry the skin, and note how far it goes."""
+    """Let nodes carry the skin, and record the farthest motion."""
     i = wp.tid()
     corner = skin.tetrahedron[i]
     weight = skin.weight[i]
@@ -83,11 +83,11 @@ def carry_skin(
     moved = x - points[i]
     motion[i] = moved
     points[i] = x
-    wp.atomic_max(travel, which, wp.length(moved))
+    wp.atomic_max(travel, row, wp.length(moved))
 
 
 @wp.func
-def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
+def place_on_skin(skin: HandSkin, face: int, place: wp.vec2) -> wp.vec3:
     """A point on the skin at rest."""
     corner = skin.face[face]
     last = 1.0 - place[0] - place[1]
@@ -99,14 +99,14 @@ def place_on_skin(skin: Skin, face: int, place: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def ghost_share(skin: Skin, x: wp.vec3, ghost: int) -> float:
-    """How much of a contact a ghost feels, before shares are made to add up to one."""
+def ghost_share(skin: HandSkin, x: wp.vec3, ghost: int) -> float:
+    """A ghost's share of a contact, not normalized."""
     return wp.max(1.0 - wp.length(skin.ghost_rest[ghost] - x) / skin.ghost_reach, 0.0)
 
 
 @wp.func
-def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
-    """Sum of the shares of the ghosts around a face: 0 where none is within reach."""
+def whole_share(skin: HandSkin, face: int, x: wp.vec3) -> float:
+    """Sum of the shares of the ghosts around a face: 0 if none is within reach."""
     whole = float(0.0)
     for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
         whole += ghost_share(skin, x, skin.ghost[at])
@@ -114,8 +114,8 @@ def whole_share(skin: Skin, face: int, x: wp.vec3) -> float:
 
 
 @wp.func
-def part_felt(skin: Skin, face: int, at: int, x: wp.vec3, whole: float) -> float:
-    """The part of a contact that a ghost feels; where none is within reach, the first does."""
+def part_felt(skin: HandSkin, face: int, at: int, x: wp.vec3, whole: float) -> float:
+    """A ghost's part of a contact; if no ghost is within reach, the first takes all."""
     if whole > 0.0:
         return ghost_share(skin, x, skin.ghost[at]) / whole
     return wp.where(at == skin.ghost_begin[face], 1.0, 0.0)
@@ -125,7 +125,7 @@ def part_felt(skin: Skin, face: int, at: int, x: wp.vec3, whole: float) -> float
 def force_of(
     slots: ContactSlots, resting: wp.array[int], time_step: float, i: int, k: int
 ) -> wp.vec3:
-    """Force of a contact on its particle [N]; those of sleeping particles are kept as forces."""
+    """Force of a contact on its particle [N]; slots of sleeping particles hold forces."""
     if resting[i] != 0:
         return slots.impulse[i, k]
     return slots.impulse[i, k] / time_step
@@ -137,10 +137,10 @@ def gather_forces(
     reported: float,
     resting: wp.array[int],
     slots: ContactSlots,
-    skin: Skin,
+    skin: HandSkin,
     forces: HandForces,
 ) -> None:
-    """Pass the forces of a substep on to ghosts and nodes."""
+    """Add the forces of a substep to ghosts and nodes."""
     i = wp.tid()
     for k in range(slots.count[i]):
         if slots.collider[i, k] == skin.collider:
@@ -164,12 +164,12 @@ def gather_forces(
                             wp.atomic_add(forces.load, corner[c], part * weight[c])
 
 
-def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> Skin:
+def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> HandSkin:
     """The skin of a rig, for clay of a particle spacing [m]."""
     surface = np.flatnonzero(rig.ghost_areas > 0.0)
     reach = max(GHOST_REACH * spacing, 1.01 * rig.ghost_spacing)
     begin, ghosts = _ghosts_by_face(rig, surface, reach)
-    skin = Skin()
+    skin = HandSkin()
     skin.collider = collider
 
     def put(values: NDArray, dtype: object) -> wp.array:
@@ -204,14 +204,14 @@ def _ghosts_by_face(
     """Surface ghosts around each face, on its own side of the hand.
 
     Returns:
-        Where the ghosts of each face begin, shape [F + 1], and the ghosts, by their place among
+        Index of the first ghost of each face, shape [F + 1], and the ghosts, by their index among
         those on the surface.
     """
     place, normals = rig.carried_ghosts(rig.nodes)[surface], rig.ghost_normals[surface]
     corners = rig.vertices[rig.faces]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     low, high = corners.min(1) - reach, corners.max(1) + reach
-    # Along the hand first: few ghosts of the sorted ones lie beside a face.
+    # Sorted along the hand: only few ghosts then lie beside a face.
     along = int(np.ptp(place, axis=0).argmax())
     order = np.argsort(place[:, along], kind="stable")
     sorted_place = place[order, along]
@@ -232,7 +232,7 @@ def _ghosts_by_face(
         kept = _distance_to_triangles(place[ghost], corners[face]) < reach
         found.append(np.column_stack([face[kept], ghost[kept]]))
     pairs = np.concatenate(found)
-    # Where none is in reach, the nearest of all.
+    # Faces without a ghost within reach get the nearest one.
     for face in np.setdiff1d(np.arange(len(corners)), pairs[:, 0]):
         every = np.broadcast_to(corners[face], (len(place), 3, 3))
         nearest = _distance_to_triangles(place, every).argmin()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The elasticity of flesh: stress, inner forces and tangent of tetrahedra on bones.
+"""The elasticity of flesh: stress, internal forces and tangent of tetrahedra on bones.
 
 Each tetrahedron is elastic about its own rotation (Müller and Gross, *Interactive Virtual
 Materials*, Graphics Interface 2004, doi 10.5555/1006058.1006087), which Müller et al., *A Robust
@@ -14,12 +14,12 @@ from ..core.vector_units import OPTIONS
 wp.set_module_options(OPTIONS)
 
 ROTATION_STEPS = 8
-"""Steps towards a tetrahedron's rotation, from that of the bones around it, at most."""
+"""Largest number of steps to find a tetrahedron's rotation, starting from its bones'."""
 ROTATION_TOLERANCE = 1.0e-3
-"""It is found when a step turns it by less than twice this [rad]; the next would by its square."""
+"""Steps end when one turns by less than twice this [rad]; the next would turn by its square."""
 STIFFENING_STRAIN = 0.3
-"""At this strain flesh is twice as stiff as at none: fibres that lay wavy pull straight. By a few
-newtons a fingertip goes flat, and then hardly gives any more."""
+"""Strain at which flesh is twice as stiff as at rest, as wavy fibers pull straight. A few newtons
+flatten a fingertip, which then hardly gives any more."""
 
 
 @wp.struct
@@ -31,10 +31,10 @@ class FleshData:
     young_modulus: float
     """[Pa]"""
     longest_step: float
-    """What a node moves in a solve at most [m]."""
+    """Largest motion of a node in a solve [m]."""
     tetrahedron: wp.array[wp.vec4i]
     gradient: wp.array2d[wp.vec3]
-    """Of shape functions at rest [1/m]; by tetrahedron and corner."""
+    """Gradients of shape functions at rest [1/m]; by tetrahedron and corner."""
     volume: wp.array[float]
     """Of each tetrahedron inside the skin [m³]."""
     rest: wp.array[wp.vec3]
@@ -43,17 +43,17 @@ class FleshData:
     """Bones that carry each node."""
     weight: wp.array[wp.vec4]
     bedding: wp.array[float]
-    """How stiffly bone holds nodes [N/m], by block."""
+    """Stiffness with which bone holds nodes [N/m], by block."""
     turn: wp.array[wp.mat44]
-    """World at present from world at rest, by bone."""
+    """Current world from world at rest, by bone."""
     bone_frame: wp.array[wp.quat]
-    """How each bone is turned."""
+    """Rotation of each bone from rest."""
     position: wp.array[wp.vec3]
     """Nodes [m]."""
     carried: wp.array[wp.vec3]
-    """Where bones alone would carry each node [m]."""
+    """Position of each node if bones alone carried it [m]."""
     frame: wp.array[wp.quat]
-    """How bones turn each node."""
+    """Rotation of each node with its bones."""
     inner: wp.array[wp.vec3]
     """Force of flesh and bone on each node [N]."""
     turned_gradient: wp.array2d[wp.vec3]
@@ -61,26 +61,26 @@ class FleshData:
     traction: wp.array2d[wp.vec3]
     """Stress before stiffening on each corner's turned gradient [Pa/m]."""
     stiffening: wp.array[wp.vec2]
-    """By how much strain stiffens each tetrahedron, and how that grows with its energy [1/Pa]."""
+    """Factor by which strain stiffens each tetrahedron, and its derivative by energy [1/Pa]."""
     row: wp.array[int]
-    """Where each node's blocks begin; the first is its own."""
+    """Index of each node's first block, which is its own."""
     column: wp.array[int]
     """Node of each block."""
     share: wp.array[int]
-    """Where the parts of each block begin."""
+    """Index of the first part of each block."""
     part: wp.array[wp.vec3i]
-    """Tetrahedron that a block gets a part from, and the two corners there."""
+    """Tetrahedron that contributes to a block, and its two corners."""
     block: wp.array[wp.mat33]
     """Tangent stiffness [N/m]."""
     inverse: wp.array[wp.mat33]
-    """Of each node's own block [m/N]."""
+    """Inverse of each node's own block [m/N]."""
     touching: wp.array2d[wp.vec2i]
-    """Tetrahedra around each node, and its corner there; -1 behind the last."""
+    """Tetrahedra around each node and its corner in them, padded with -1."""
 
 
 @wp.kernel(enable_backward=False)
 def carry_nodes(flesh: FleshData) -> None:
-    """Let bones carry nodes, which keep their place in the frame that turns with the bones."""
+    """Let bones carry nodes; their deflection turns with the bones."""
     i = wp.tid()
     bone = flesh.bone[i]
     weight = flesh.weight[i]
@@ -103,7 +103,7 @@ def carry_nodes(flesh: FleshData) -> None:
 
 @wp.func
 def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.mat33:
-    """Rotation of a deformation, from a guess nearby."""
+    """Rotation of a deformation, starting from a guess."""
     q = start
     r = wp.quat_to_matrix(q)
     step = int(0)
@@ -142,7 +142,7 @@ def measure_stress(flesh: FleshData) -> None:
     strain = (stretch + wp.transpose(stretch)) * 0.5 - wp.identity(n=3, dtype=float)
     lame = flesh.lame
     stress = strain * (2.0 * lame[1]) + wp.identity(n=3, dtype=float) * (lame[0] * wp.trace(strain))
-    # Twice the energy over Young's modulus: the square of the strain, where stress is uniaxial.
+    # Twice the energy over Young's modulus: the squared strain if the stress is uniaxial.
     square = wp.ddot(stress, strain) / flesh.young_modulus
     grown = square / (STIFFENING_STRAIN * STIFFENING_STRAIN)
     flesh.stiffening[t] = wp.vec2(
@@ -174,7 +174,7 @@ def sum_inner_forces(flesh: FleshData) -> None:
 
 @wp.kernel(enable_backward=False)
 def assemble_tangent(flesh: FleshData) -> None:
-    """Sum up the blocks of each node's row."""
+    """Assemble the blocks of each node's row."""
     i = wp.tid()
     own = wp.mat33()
     lame = flesh.lame
@@ -192,7 +192,7 @@ def assemble_tangent(flesh: FleshData) -> None:
             block += wp.outer(
                 flesh.traction[part[0], part[1]], flesh.traction[part[0], part[2]]
             ) * (flesh.volume[part[0]] * stiffening[1])
-        # Flesh that moves as a whole is not strained: the rows of its stiffness add up to zero.
+        # Rigid translation strains nothing: the rows of the stiffness add up to zero.
         own -= block
         flesh.block[at] = block + wp.identity(n=3, dtype=float) * flesh.bedding[at]
     own += wp.identity(n=3, dtype=float) * flesh.bedding[begin]

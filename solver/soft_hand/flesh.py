@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Elastic flesh on bones, in equilibrium with what presses it.
+"""Elastic flesh on bones, in equilibrium with its loads.
 
-Flesh is light and heavily damped: it has no inertia here, and moves towards where its forces
-balance. A solve is one Newton step by conjugate gradients.
+Flesh is light and heavily damped: it has no inertia here, and moves towards equilibrium. A solve is
+one Newton step by conjugate gradients.
 """
 
 from typing import Any
@@ -26,14 +26,14 @@ from .solve import (
     turn_direction,
 )
 
-LONGEST_STEP = 0.01
-"""What a node moves in a solve at most, over the size of the hand."""
+MAX_STEP = 0.01
+"""Largest motion of a node in a solve, over the size of the hand."""
 RELAXATION_TIME = 0.008
-"""Flesh follows what loads it with this delay [s]."""
+"""Delay with which flesh follows its loads [s]."""
 
 
 def yielded_part(time_step: float) -> float:
-    """How far flesh gives way in a time [s], of what forces ask for."""
+    """Share of the way to equilibrium that flesh covers in a time [s]."""
     return time_step / (time_step + RELAXATION_TIME)
 
 
@@ -46,10 +46,10 @@ class Flesh:
 
     Args:
         rig: The hand.
-        rest: What `rest_of` measured of it.
+        rest: Its flesh at rest, from `rest_of`.
         young_modulus: [Pa]
         poisson_ratio: Below 0.5.
-        iterations: Of conjugate gradients in a solve.
+        iterations: Conjugate-gradient iterations in a solve.
         device: Warp device.
     """
 
@@ -73,7 +73,7 @@ class Flesh:
         data = FleshData()
         data.lame = wp.vec2(first, shear)
         data.young_modulus = young_modulus
-        data.longest_step = LONGEST_STEP * float(np.linalg.norm(np.ptp(rig.nodes, axis=0)))
+        data.longest_step = MAX_STEP * float(np.linalg.norm(np.ptp(rig.nodes, axis=0)))
 
         def put(values: NDArray, dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=device)
@@ -112,32 +112,32 @@ class Flesh:
         self.solve_data = solve
 
     def carry(self) -> None:
-        """Let nodes follow the bones, which stand where ``turn`` says."""
+        """Let nodes follow the bones to the poses in ``turn``."""
         self._launch(carry_nodes, self.data)
 
     def stretch(self) -> None:
-        """Find stress and inner forces where nodes are."""
+        """Compute stress and internal forces at the current positions."""
         tetrahedra = len(self.data.volume)
         wp.launch(measure_stress, dim=tetrahedra, inputs=[self.data], device=self.device)
         self._launch(sum_inner_forces, self.data)
 
     def stiffen(self) -> None:
-        """Find the tangent to that stress."""
+        """Compute the tangent of that stress."""
         self._launch(assemble_tangent, self.data)
 
     def relax(self, load: wp.array, part: float) -> None:
-        """Move nodes towards where forces balance, by the tangent found last.
+        """Move nodes towards equilibrium, using the last computed tangent.
 
         Args:
             load: Force on each node [N].
-            part: How far, of the whole way.
+            part: Share of the whole way, 0 to 1.
         """
         self._launch(balance_forces, self.data, load, self.solve_data)
         self._solve()
         self._launch(move_nodes, part, load, self.data, self.solve_data)
 
     def respond(self, load: wp.array) -> None:
-        """Find the ``change`` that a load [N] alone would make; the nodes stay."""
+        """Compute the ``change`` that a load [N] alone would cause; the nodes stay."""
         self._launch(take_load, load, self.solve_data)
         self._solve()
 
@@ -157,11 +157,11 @@ class Flesh:
         wp.launch(kernel, dim=self.count, inputs=list(inputs), device=self.device)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Where nodes are, and where bones carry them."""
+        """Positions and forces of the nodes, and where bones carry them."""
         names = ("position", "carried", "frame", "inner")
         return {name: getattr(self.data, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         for name in ("position", "carried", "frame", "inner"):
             getattr(self.data, name).assign(state[name])

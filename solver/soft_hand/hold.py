@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a hand's bones yield to the clay: springs between the tracked and the simulated pose.
 
-Whoever moves the hand holds each joint with a certain stiffness. What the clay does to the flesh
-turns joints, and moves the roots of the skeleton, away from the pose that was set, as in *Natural
-Interaction with Virtual Clay* (Barreiro, Torres and Otaduy, WHC 2021, sections III-D and IV-A),
-where the forces on the tetrahedra are fed back to the hand.
+The person who moves the hand holds each joint with a certain stiffness. The clay's forces on the
+flesh turn joints, and move the roots of the skeleton, away from the pose that was set, as in
+*Natural Interaction with Virtual Clay* (Barreiro, Torres and Otaduy, WHC 2021, sections III-D and
+IV-A), where the forces on the tetrahedra are fed back to the hand.
 """
 
 from __future__ import annotations
@@ -12,36 +12,39 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.rotations import (
+    matrices_from_rotation_vectors,
+    product,
+    quaternions_from_matrices,
+)
 from ..hand.rig import HandRig
-from .bones import product, quaternions
 
 Array = NDArray[np.float64]
 
 HOLD_TIME = 0.05
-"""Joints follow the force on them with this delay [s]: limbs have mass, and muscles damp."""
+"""Delay with which joints follow the force on them [s]: limbs have mass, and muscles damp."""
 
 
 def held_part(time_step: float) -> float:
-    """How far joints give way in a time [s], of what forces ask for."""
+    """Share of the deflection in equilibrium that joints reach in a time [s]."""
     return time_step / (time_step + HOLD_TIME)
 
 
 NEGLIGIBLE = 1.0e-6
-"""Joints that nothing loads are back when they are within this of their pose [rad, m]."""
-LEAST_SHARE = 0.5
-"""A node counts as a bone's when the bone and what hangs on it carry this much of it."""
+"""Unloaded joints count as back at their pose when they are this close to it [rad, m]."""
+MIN_SHARE = 0.5
+"""Smallest weight of a bone and its descendants at a node for the node to count as the bone's."""
 
 
 class Hold:
     """The springs of one hand's joints.
 
-    They are chosen such that a force on a fingertip moves it by the force over ``stiffness`` when
-    it acts across a straight finger: every joint of the longest chain, and the root, gives an equal
-    share.
+    They are chosen so that a force across a straight finger moves the fingertip by the force over
+    ``stiffness``: every joint of the longest chain, and the root, contributes an equal share.
 
     Args:
         rig: The hand.
-        stiffness: [N/m]
+        stiffness: Of a fingertip [N/m].
     """
 
     def __init__(self, rig: HandRig, stiffness: float) -> None:
@@ -55,36 +58,39 @@ class Hold:
             if rig.bone_parent[bone] >= 0:
                 carried[:, rig.bone_parent[bone]] += carried[:, bone]
         self._carried = carried
-        """How much of each node a bone and what hangs on it carry, shape [N, B]."""
+        """Weight of each bone and its descendants at each node, shape [N, B]."""
         away = np.linalg.norm(rig.nodes[:, None] - rig.bone_rest[None, :, :3, 3], axis=2)
-        lever = np.where(carried > LEAST_SHARE, away, 0.0).max(0)
+        lever = np.where(carried > MIN_SHARE, away, 0.0).max(0)
         share = 1.0 / (stiffness * (len(self._levels) + 1))
         self._turning = np.divide(share, lever**2, out=np.zeros(count), where=lever > 0.0)[:, None]
-        """What a torque turns each joint by [rad/(N m)]."""
+        """Rotation of each joint per torque [rad/(N m)]."""
         self._shifting = np.where(self._roots, share, 0.0)[:, None]
-        """What a force moves each root by [m/N]."""
+        """Displacement of each root per force [m/N]."""
         self.lone = share
-        """What a newton moves a root by [m/N]."""
+        """Displacement of a root per force [m/N]."""
         self.turn = np.zeros((count, 3))
-        """What each joint has yielded [rad]."""
+        """Rotation vector by which each joint has yielded [rad], shape [B, 3]."""
         self.shift = np.zeros((count, 3))
-        """What each root has yielded [m]."""
+        """Displacement by which each root has yielded [m], shape [B, 3]."""
         self._heads = rig.bone_rest[:, :3, 3].copy()
         self.change = np.tile(np.eye(4), (count, 1, 1))
-        """What yielding changed of each bone's pose when last applied, in the world, [B, 4, 4]."""
+        """World transform by which each bone had yielded when last applied, shape [B, 4, 4]."""
 
     def applied(self, poses: Array, frames: Array) -> tuple[Array, Array]:
-        """Yielded poses, from those that were set.
+        """Apply the yielding to the poses that were set.
 
         Args:
             poses: World from each bone's own coordinates, shape [B, 4, 4].
-            frames: How each is turned from rest, as quaternions, shape [B, 4].
+            frames: Their rotations from rest as quaternions, shape [B, 4].
+
+        Returns:
+            Both with the yielding applied.
         """
         if not (self.turn.any() or self.shift.any()):
             self._heads = poses[:, :3, 3].copy()
             self.change = np.tile(np.eye(4), (len(poses), 1, 1))
             return poses, frames
-        rotation = _rotations(self.turn)
+        rotation = matrices_from_rotation_vectors(self.turn)
         change = np.zeros_like(poses)
         heads = poses[:, :3, 3]
         for bones in self._levels:
@@ -100,19 +106,19 @@ class Hold:
         self.change = change
         yielded = change @ poses
         self._heads = yielded[:, :3, 3]
-        return yielded, product(quaternions(change[:, :3, :3]), frames)
+        return yielded, product(quaternions_from_matrices(change[:, :3, :3]), frames)
 
     def _asked(self, nodes: Array, load: Array) -> tuple[Array, Array]:
-        """What a load [N] on nodes at some places [m] turns joints and moves roots by."""
+        """Rotations of joints and displacements of roots in equilibrium with a load on nodes."""
         force = self._carried.T @ load
         torque = self._carried.T @ np.cross(nodes, load) - np.cross(self._heads, force)
         return torque * self._turning, force * self._shifting
 
     def follow(self, nodes: Array, load: Array, time_step: float) -> None:
-        """Yield to a load for a time.
+        """Yield to a load for some time.
 
         Args:
-            nodes: Where the nodes are [m], shape [N, 3].
+            nodes: Positions of the nodes [m], shape [N, 3].
             load: Force on each [N], shape [N, 3].
             time_step: [s]
         """
@@ -124,43 +130,32 @@ class Hold:
             self.reset()
 
     def response(self, nodes: Array, load: Array) -> Array:
-        """What a small load moves the nodes by in the end [m], shape [N, 3]."""
+        """Displacement of the nodes in equilibrium with a small load [m], shape [N, 3]."""
         turn, shift = self._asked(nodes, load)
-        # Each joint turns all that hangs on it about its own place.
+        # Each joint turns everything beyond it about its own position.
         about = self._carried @ turn
         offset = self._carried @ (shift - np.cross(turn, self._heads))
         return np.cross(about, nodes) + offset
 
     def snapshot(self) -> dict[str, NDArray]:
-        """What has yielded."""
+        """The state of the springs."""
         return {name: getattr(self, name).copy() for name in ("turn", "shift", "change")}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         for name in ("turn", "shift", "change"):
             setattr(self, name, state[name].copy())
 
     def reset(self) -> None:
-        """Go back to the pose that was set."""
+        """Return to the pose that was set."""
         self.turn[:] = 0.0
         self.shift[:] = 0.0
 
 
 def _levels(parent: NDArray[np.int32]) -> list[NDArray[np.int64]]:
-    """Bones by their depth below the roots."""
+    """Bones by their depth in the skeleton, roots first."""
     depth = np.zeros(len(parent), int)
     for bone, above in enumerate(parent):
         if above >= 0:
             depth[bone] = depth[above] + 1
     return [np.flatnonzero(depth == level) for level in range(depth.max(initial=0) + 1)]
-
-
-def _rotations(vectors: Array) -> Array:
-    """Rotation matrices of rotation vectors [rad], shape [B, 3, 3] (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    safe = np.maximum(angle, 1e-12)
-    x, y, z = (vectors / safe[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), -1, 0)
-    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
-    return np.eye(3) + sine * cross + versine * (cross @ cross)

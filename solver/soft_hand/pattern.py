@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which nodes of a mesh of tetrahedra act on each other."""
+"""Sparsity pattern of a mesh of tetrahedra: which nodes act on each other."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,8 @@ def block_pattern(
     """Which nodes share tetrahedra, by rows.
 
     Returns:
-        Where rows begin, shape [N + 1]; the column of each block, a node's own first; where the
-        parts of blocks begin; and for each part its tetrahedron and two corners.
+        Index of each row's first block, shape [N + 1]; the column of each block, a node's own
+        first; index of each block's first part; and the tetrahedron and two corners of each part.
     """
     count = len(tetrahedra)
     first, second = (corner.ravel() for corner in np.indices((4, 4)))
@@ -26,7 +26,7 @@ def block_pattern(
     key = np.concatenate([rows.astype(np.int64) * (node_count + 1) + columns + 1])
     order = np.argsort(key, kind="stable")
     keys, sizes = np.unique(key, return_counts=True)
-    # A node's own block stands before the others, and is the sum of them: it has no parts.
+    # A node's own block comes first; it follows from the others, so it has no parts.
     keys = np.concatenate([own.astype(np.int64) * (node_count + 1), keys])
     sizes = np.concatenate([np.zeros(node_count, int), sizes])
     place = np.argsort(keys, kind="stable")
@@ -62,7 +62,7 @@ def sum_by_block(
 
 
 def incidences(tetrahedra: NDArray[np.int32], node_count: int) -> NDArray[np.int32]:
-    """Tetrahedra around each node, and its corner there, shape [N, K, 2], padded with -1."""
+    """Tetrahedra around each node and its corner in them, shape [N, K, 2], padded with -1."""
     nodes = tetrahedra.ravel()
     order = np.argsort(nodes, kind="stable")
     counts = np.bincount(nodes, minlength=node_count)

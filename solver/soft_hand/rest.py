@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the flesh of a bound hand is made of: how much of each tetrahedron is skin-deep, and bone.
+"""The flesh of a bound hand at rest: how much of each tetrahedron is inside the skin, and bone.
 
 Tetrahedra of a lattice stick out of the skin, and bones run through them. Both are integrated
-over sample points, so that stiffness does not depend on how the lattice lies or how fine it is:
-what is outside the skin counts as nothing (the finite cell method: Parvizian, Düster and Rank,
+over sample points, so that stiffness does not depend on the position or resolution of the lattice:
+what is outside the skin has no stiffness (the finite cell method: Parvizian, Düster and Rank,
 Computational Mechanics 41, 2007, doi 10.1007/s00466-007-0173-y), and what is inside a bone is tied
 to where the bone carries it by an elastic bedding.
 """
@@ -19,21 +19,21 @@ from numpy.typing import NDArray
 from ..hand.rig import HandRig
 
 SAMPLE_ORDER = 3
-"""Sample points of a tetrahedron lie on a lattice of this many steps along each edge."""
+"""Number of steps along each edge of the lattice of sample points in a tetrahedron."""
 BONE_SHARE = 0.5
-"""Bone reaches this far from its axis towards the skin."""
+"""How far bone reaches from its axis towards the skin, as a share."""
 BEDDING_LENGTH = 1.0e-3
-"""Depth to which flesh at a bone gives [m]: the bedding's stiffness is the modulus over its
-square."""
+"""Thickness of the elastic bedding at a bone [m]: its stiffness is the modulus over the squared
+thickness."""
 BEDDING_CELLS = 0.133
-"""The same in cells of the lattice, if that is more. A tetrahedron that reaches from bone to skin
-strains evenly: held firmly at its one end it could not give at the other. With this, a fingertip
-gives the same to about a tenth, from one cell across it to four."""
-LEAST_SHARE = 0.1
-"""A tetrahedron outside the skin still counts this much, so that its nodes are carried along."""
+"""The same in cells of the lattice, if that is larger. A tetrahedron that reaches from bone to skin
+strains uniformly: held firmly at one end, it could not give at the other. With this, the compliance
+of a fingertip varies by about a tenth between one and four cells across it."""
+MIN_SHARE = 0.1
+"""Smallest share of a tetrahedron that counts as inside, so that its nodes are carried along."""
 LEAF_REACH = 1.6
-"""A bone without children reaches this far from its head, over the distance of the middle of what
-it carries."""
+"""Length of a bone without children, over the distance from its head to the center of the nodes it
+carries."""
 
 
 @dataclass(frozen=True)
@@ -41,21 +41,21 @@ class FleshRest:
     """The flesh at rest."""
 
     gradients: NDArray[np.float64]
-    """Of the four shape functions of each tetrahedron [1/m], shape [T, 4, 3]."""
+    """Gradients of the four shape functions of each tetrahedron [1/m], shape [T, 4, 3]."""
     volumes: NDArray[np.float64]
     """Volume of each tetrahedron inside the skin [m³], shape [T]."""
     bone_shares: NDArray[np.float64]
-    """Products of each two shape functions integrated over the bone in each tetrahedron [m³],
+    """Integrals of products of two shape functions over the bone in each tetrahedron [m³],
     shape [T, 4, 4]; they add up to the volume of the bones."""
     bedding_length: float
-    """Depth to which flesh at a bone gives [m]."""
+    """Thickness of the elastic bedding at a bone [m]."""
 
 
 def bone_axes(rig: HandRig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the axes of the bones begin and end.
+    """Start and end of the bones' axes.
 
     A bone runs from its head to the head of each of its children. One without children runs
-    through the middle of the nodes that it carries.
+    through the center of the nodes that it carries.
 
     Returns:
         Starts and ends [m], shape [A, 3] each.
@@ -93,7 +93,7 @@ def rest_of(rig: HandRig) -> FleshRest:
     bone = inside & (away * (1.0 - BONE_SHARE) < depth * BONE_SHARE).reshape(inside.shape)
     products = np.einsum("sk,sl->skl", weights, weights) / len(weights)
     bone_shares = np.einsum("t,ts,skl->tkl", volumes, bone.astype(float), products)
-    share = np.maximum(inside.mean(1), LEAST_SHARE)
+    share = np.maximum(inside.mean(1), MIN_SHARE)
     # Twelve tetrahedra of a body-centred cubic lattice fill a cell.
     cell = float(np.cbrt(12.0 * volumes.mean()))
     bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)
@@ -112,7 +112,7 @@ def _sample_weights() -> NDArray[np.float64]:
 def measure_depth(
     mesh: wp.uint64, reach: float, points: wp.array[wp.vec3], depth: wp.array[float]
 ) -> None:
-    """Find how deep points lie under the skin; negative outside."""
+    """Measure the depth of points under the skin; negative outside."""
     i = wp.tid()
     query = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach)
     depth[i] = -reach
@@ -123,7 +123,7 @@ def measure_depth(
 
 def _depth(rig: HandRig, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth of points under the skin [m], negative outside, shape [P]."""
-    # About their middle, where float32 resolves them best.
+    # Centered, where float32 resolves best.
     middle = rig.vertices.mean(0)
     skin = wp.Mesh(
         points=wp.array(rig.vertices - middle, dtype=wp.vec3, device="cpu"),

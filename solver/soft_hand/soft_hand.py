@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A soft hand through a step: bones lead, flesh follows and gives, clay pushes back."""
+"""A soft hand through a step: bones lead, flesh follows and yields, clay pushes back."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from .hold import Hold
 from .rest import rest_of
 
 ITERATIONS = 6
-"""Of conjugate gradients in a substep."""
+"""Conjugate-gradient iterations in a substep."""
 FRESH_EVERY = 4
-"""Substeps after which stress and tangent are found anew; between, forces change linearly."""
+"""Substeps after which stress and tangent are computed again; in between, forces are linear."""
 ARRIVAL_TIME = 0.2
-"""A hand that jumps or comes back takes hold of the clay over this long [s]."""
-LONGEST_ARRIVAL = 1.0
-"""After this long it has arrived, even if clay is still inside it [s]."""
+"""Time in which a hand that jumped or was lost takes hold of the clay [s]."""
+MAX_ARRIVAL_TIME = 1.0
+"""Time after which it counts as arrived, even with clay still inside it [s]."""
 ARRIVED_DEPTH = 0.1
-"""A hand has arrived when no particle's ball lies this deep inside it, in spacings."""
+"""A hand has arrived when no particle lies deeper inside it than this, in spacings."""
 UNLIMITED_SPEED = 1.0e6
-"""Faster than anything [m/s]."""
+"""A speed that nothing reaches [m/s]."""
 SETTLING_TIME = 1.0
-"""A hand that keeps still away from clay is in shape after this long [s]."""
+"""Time after which the flesh of a still hand away from clay counts as settled [s]."""
 
 
 class SoftHand:
@@ -39,11 +39,11 @@ class SoftHand:
 
     Args:
         hand: The hand.
-        collider: Its place among all colliders.
-        row: Its place among the meshes.
-        first_face: Where its faces begin in ``compliance``.
-        compliance: How much each face of soft hands gives to a contact [m/N].
-        travel: What each mesh moves in a substep at most [m].
+        collider: Its index among all colliders.
+        row: Its index among the meshes.
+        first_face: Index of its first face in ``compliance``.
+        compliance: Compliance of each face of all soft hands [m/N].
+        travel: Largest motion of each mesh in a substep [m].
         particles: The clay.
     """
 
@@ -101,7 +101,7 @@ class SoftHand:
         self._boxes = _boxes_of_bones(hand)
         self._recordings = Recordings(particles, by_part=False)
         self._arrival = ARRIVAL_TIME
-        """Time since the hand came here [s]; where it stands in the beginning, it holds firmly."""
+        """Time since the hand jumped or appeared [s]; initially it holds firmly at once."""
         self._arrived = False
         self._still = 0.0
         """How long the hand has been at rest, away from clay [s]."""
@@ -109,7 +109,7 @@ class SoftHand:
         self._place()
 
     def _place(self) -> None:
-        """Put the hand to the start of its way at once."""
+        """Put the hand at the start of its path at once."""
         self.path.aim(self.path.start)
         self._move(1.0, 1.0)
         self._mesh.velocities.zero_()
@@ -117,11 +117,11 @@ class SoftHand:
 
     @property
     def mesh_id(self) -> int:
-        """Of the skin."""
+        """Warp's identifier of the skin's mesh."""
         return int(self._mesh.id)
 
     def plan(self) -> tuple[float, NDArray[np.float64]]:
-        """How far bones are going to take any point in this step, and where.
+        """How far bones will move any point in this step, and where.
 
         Returns:
             A distance [m], and the box that the hand sweeps, shape [2, 3].
@@ -137,7 +137,7 @@ class SoftHand:
         return motion, np.array([swept.min(0), swept.max(0)])
 
     def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Corners of the boxes around what each bone carries [m]: all flesh lies between them."""
+        """Corners of the boxes around what each bone carries [m]; their hull contains the flesh."""
         if self.hold:
             poses = self.hold.change @ poses
         turns = self.path.turns(poses)[self._boxes[0]]
@@ -146,12 +146,12 @@ class SoftHand:
         ).reshape(-1, 3)
 
     def begin_step(self, duration: float, *, jumps: bool, near: bool) -> None:
-        """Set out for the bones' next poses.
+        """Start towards the bones' next poses.
 
         Args:
-            duration: Of the step [s].
-            jumps: Whether the hand is there at once instead of sweeping the way.
-            near: Whether clay may be touched on the way.
+            duration: Length of the step [s].
+            jumps: Whether the hand is there at once instead of sweeping there.
+            near: Whether it may touch clay on the way.
         """
         returns = self.hand.tracked and not self.present
         self.present = self.hand.tracked
@@ -178,41 +178,41 @@ class SoftHand:
             self._arrival += duration
         if not self._arrived:
             clear = float(forces.deepest.numpy()[0]) < ARRIVED_DEPTH * self.particles.spacing
-            self._arrived = self._arrival >= (ARRIVAL_TIME if clear else LONGEST_ARRIVAL)
+            self._arrived = self._arrival >= (ARRIVAL_TIME if clear else MAX_ARRIVAL_TIME)
 
     @property
     def grasp(self) -> float:
-        """How firmly the hand takes hold of the clay: 1 but for a moment after it came."""
+        """How firmly the hand holds the clay, 0 to 1; less than 1 only shortly after it arrived."""
         return min(self._arrival / ARRIVAL_TIME, 1.0) if self.present else 0.0
 
     @property
     def recovery_speed(self) -> float:
-        """How fast clay inside it is moved out [m/s]: of itself no slower than flesh gives way."""
+        """How fast clay inside it is moved out [m/s]; unlimited once the hand has arrived."""
         return UNLIMITED_SPEED if self._arrived else DEPENETRATION_SPEED * self.grasp
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
         """Move on to the end of a substep.
 
         Args:
-            substep: Which.
-            substeps: Of how many.
-            time_step: Its length [s].
+            substep: Index of the substep.
+            substeps: Number of substeps.
+            time_step: Length of a substep [s].
         """
         if self._whole:
-            # Away from clay nothing sees the way, only where it leads.
+            # Away from clay only the end of the path matters.
             if substep == 0 and self._still < SETTLING_TIME:
                 self._move(1.0, yielded_part(substeps * time_step))
             elif substep < 2:
                 self._mesh.velocities.zero_()
                 self._travel[self.row : self.row + 1].zero_()
             return
-        # The tangent may lag behind: no substep goes the whole way that it tells.
+        # The tangent may be old: no substep goes the whole way.
         self._move(
             (substep + 1) / substeps, yielded_part(time_step), fresh=substep % FRESH_EVERY == 0
         )
 
     def end_step(self) -> None:
-        """Arrive."""
+        """Finish the path of the step."""
         self.path.arrive()
 
     def _move(self, fraction: float, part: float, *, fresh: bool = True) -> None:
@@ -245,7 +245,7 @@ class SoftHand:
         wp.launch(carry_skin, dim=len(mesh.points), inputs=inputs, device=self.device)
 
     def gather(self, slots: ContactSlots, time_step: float) -> None:
-        """Take up the forces of a substep of ``time_step`` [s]."""
+        """Collect the forces of a substep of ``time_step`` [s]."""
         if not self._whole:
             reported = 1.0 if self._arrived else 0.0
             self._recordings.run(
@@ -267,7 +267,7 @@ class SoftHand:
         wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
 
     def learn_compliance(self, slots: ContactSlots) -> None:
-        """Find how much the hand gives to what presses it now."""
+        """Measure how much the hand gives under its current contacts."""
         if not self._whole and self.forces.touched.numpy()[0]:
             force = self.forces.impulse.numpy().sum(0)
             self.compliance.learn(slots, force, self._nodes(), self.hold)
@@ -277,7 +277,7 @@ class SoftHand:
         return self.forces.impulse.numpy().sum(0) / duration
 
     def contacts(self, duration: float) -> HandContacts:
-        """What ghosts feel, mean over a step of ``duration`` [s]."""
+        """Forces on the ghosts, mean over a step of ``duration`` [s]."""
         rig, surface = self.hand.rig, self._surface
         nodes = self._nodes()
         corners = nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
@@ -300,7 +300,7 @@ class SoftHand:
         )
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Where the hand is, and what it feels."""
+        """The state of the hand, its flesh and its forces."""
         state = {f"flesh_{name}": value for name, value in self.flesh.snapshot().items()}
         state["bones"] = self.path.start.copy()
         state["present"] = np.array(self.present)
@@ -315,7 +315,7 @@ class SoftHand:
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Return to the state that `snapshot` gave."""
         own = {
             name.removeprefix(f"hand_{self.row}_"): value
             for name, value in state.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conjugate gradients for the forces of flesh, preconditioned by the nodes' own blocks."""
+"""Conjugate gradients for the equilibrium of flesh, preconditioned by the nodes' own blocks."""
 
 import warp as wp
 
@@ -14,12 +14,12 @@ class FleshSolve:
     """What the passes of conjugate gradients share."""
 
     residual: wp.array[wp.vec3]
-    """Force not yet in balance [N]."""
+    """Unbalanced force [N]."""
     z: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     product: wp.array[wp.vec3]
     change: wp.array[wp.vec3]
-    """What the solve moves nodes by [m]."""
+    """Displacement of nodes by the solve [m]."""
     size: wp.array[wp.float64]
     """Preconditioned square of the residual, by iteration [N m]."""
     curvature: wp.array[wp.float64]
@@ -28,21 +28,21 @@ class FleshSolve:
 
 @wp.kernel(enable_backward=False)
 def balance_forces(flesh: FleshData, load: wp.array[wp.vec3], solve: FleshSolve) -> None:
-    """Find what is out of balance."""
+    """Set the residual to the sum of load and internal forces."""
     i = wp.tid()
     solve.residual[i] = load[i] + flesh.inner[i]
 
 
 @wp.kernel(enable_backward=False)
 def take_load(load: wp.array[wp.vec3], solve: FleshSolve) -> None:
-    """Let the load alone be what is out of balance."""
+    """Set the residual to the load alone."""
     i = wp.tid()
     solve.residual[i] = load[i]
 
 
 @wp.kernel(enable_backward=False)
 def start_solve(flesh: FleshData, solve: FleshSolve) -> None:
-    """Begin with no change."""
+    """Start from zero change."""
     i = wp.tid()
     z = flesh.inverse[i] * solve.residual[i]
     solve.z[i] = z
@@ -64,7 +64,7 @@ def multiply(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def advance_solve(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
-    """Go along the direction as far as it helps."""
+    """Go along the direction to the minimum."""
     i = wp.tid()
     step = float(0.0)
     if solve.curvature[iteration] > wp.float64(0.0):
@@ -79,7 +79,7 @@ def advance_solve(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def turn_direction(iteration: int, solve: FleshSolve) -> None:
-    """Take up the next direction."""
+    """Compute the next direction."""
     i = wp.tid()
     keep = float(0.0)
     if solve.size[iteration] > wp.float64(0.0):
@@ -89,10 +89,10 @@ def turn_direction(iteration: int, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def move_nodes(part: float, load: wp.array[wp.vec3], flesh: FleshData, solve: FleshSolve) -> None:
-    """Move nodes by a part of what the solve found; one not finite stays with its bones.
+    """Move nodes by a part of the solution; nodes that are not finite return to their bones.
 
-    Where a load is so sudden that the tangent says nothing about it, nodes must not fly off.
-    The inner forces change by what the solve has taken off the residual.
+    Steps are limited: the tangent is no guide to a load that comes too suddenly. The internal
+    forces change by as much as the solve reduced the residual.
     """
     i = wp.tid()
     inner = flesh.inner[i]

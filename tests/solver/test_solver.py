@@ -99,7 +99,7 @@ def test_only_what_the_scene_holds_is_built():
 
 
 def test_memory_that_is_told_is_what_arrays_hold():
-    """Count the arrays in structs too: rows of neighbours are most of what a scene holds."""
+    """Count the arrays in structs too: rows of neighbors are most of what a scene holds."""
     scene = Scene(SPACING)
     scene.add_clay(block(8, SPACING), Material())
     solver = Solver(scene)
@@ -186,7 +186,7 @@ def test_longer_steps_take_more_substeps():
 
 
 def test_colors_come_back_in_order():
-    """Give colours in the order added."""
+    """Give colors in the order added."""
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     scene = Scene(SPACING)
     scene.add_clay_mesh(box.vertices, box.faces, Material(), color=(1, 0, 0, 1))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.geometry.rotations import frame_of, tangent_of
 from ..tools.edits import Edit
 from ..tools.meshes import is_thin, sole_radius, tool_parts
 from ..tools.settings import BrushSettings, ToolMesh
@@ -18,7 +19,6 @@ from .edit_stroke import EditStroke
 from .input import BrushInput, Sample, Source
 from .mirror import mirror_matrices
 from .raycast import ParticleSurface
-from .rigid import frame_of, tangent_of
 from .stroke import HOVER, Stroke
 from .tool_poses import copy_poses, fence_pose, part_poses
 from .view_region import Pointer

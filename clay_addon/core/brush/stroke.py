@@ -8,10 +8,10 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.geometry.rotations import frame_of, tangent_of, turned_towards
 from ..tools.meshes import is_aligned
 from ..tools.settings import BrushSettings
 from .raycast import ParticleSurface
-from .rigid import frame_of, limited, tangent_of, turned_towards
 from .surface_path import SurfacePath, Waypoint
 from .view_ray import View
 
@@ -198,7 +198,7 @@ class Stroke:
                 self._set_down()
                 return
         target = self.base.point - self.depth * self.base.normal
-        self.tip = self.tip + limited(target - self.tip, step)
+        self.tip = self.tip + _shortened(target - self.tip, step)
         wanted = frame_of(self.base.normal, self._tangent)
         self.rotation = turned_towards(self.rotation, wanted, _TURN * duration)
 
@@ -286,6 +286,12 @@ class Stroke:
         start = Waypoint(ray.at(depth), -ray.direction, True)
         self.path.start_at(start)
         return start
+
+
+def _shortened(vector: NDArray[np.float64], max_length: float) -> NDArray[np.float64]:
+    """A vector cut to a length [m], shape [3]."""
+    length = float(np.linalg.norm(vector))
+    return vector if length <= max_length else vector * (max_length / length)
 
 
 def _first_tangent(view: View, normal: NDArray[np.float64], path: str) -> NDArray[np.float64]:

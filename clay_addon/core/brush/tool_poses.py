@@ -6,10 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ....solver.geometry.rotations import frame_of, matrices_from_rotation_vectors
 from ..tools.meshes import WIRE_LENGTH
 from ..tools.settings import BrushSettings
 from .mirror import mirror_matrices, snap_to_planes, used_copies
-from .rigid import frame_of, turn_about
 from .stroke import PINCH_LEAN, PINCH_OPEN
 
 _TOUCHING = 0.5
@@ -17,7 +17,7 @@ _OFF = 2.0
 """Distance of the plate from the centers of the farthest particles [spacings]: holding, and not."""
 
 _LEAN = np.eye(4)
-_LEAN[:3, :3] = turn_about(np.array((0.0, 1.0, 0.0)), PINCH_LEAN)
+_LEAN[:3, :3] = matrices_from_rotation_vectors((0.0, PINCH_LEAN, 0.0))
 
 
 def part_poses(

@@ -4,22 +4,11 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tactile_clay.solver import Material, Scene, Solver
-from tactile_clay.solver.colliders.shape import _quaternion
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
 SPACING = 0.005
-
-
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1))
-def test_quaternion_of_any_rotation(values: list[float]):
-    """Give back a rotation's quaternion, up to its sign."""
-    q = np.array(values) / np.linalg.norm(values)
-    matrix = trimesh.transformations.quaternion_matrix(np.roll(q, 1))[:3, :3]
-    assert abs(float(_quaternion(matrix) @ q)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_block_rests_on_a_mesh_and_weighs_m_g():

@@ -86,9 +86,9 @@ def test_bad_skin_is_refused(hand: SkinnedHand, spoil: Any, words: str) -> None:
     ("change", "words"),
     [
         ({"bone_names": ("wrist",) * 26}, "same name"),
-        ({"bone_rest": np.zeros((26, 4, 4))}, "scaled to nothing"),
-        ({"bone_parent": np.roll(np.arange(26), 1).astype(np.int32)}, "own ancestors"),
-        ({"bone_parent": np.full(26, 99, np.int32)}, "not there"),
+        ({"bone_rest": np.zeros((26, 4, 4))}, "scale is zero"),
+        ({"bone_parent": np.roll(np.arange(26), 1).astype(np.int32)}, "own ancestor"),
+        ({"bone_parent": np.full(26, 99, np.int32)}, "does not exist"),
     ],
 )
 def test_bad_bones_are_refused(hand: SkinnedHand, change: dict, words: str) -> None:

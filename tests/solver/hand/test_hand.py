@@ -31,6 +31,34 @@ def test_bones_that_are_not_named_stay(hand: Hand):
     np.testing.assert_array_equal(hand.bones[1], at(0.1, 0.2, 0.3))
 
 
+def test_all_bones_are_set_by_an_array_in_the_order_of_the_rig(hand: Hand):
+    """Take poses by place as by name, and keep them when the caller's array changes."""
+    assert hand.bone_names == hand.rig.bone_names
+    poses = at(0.1, 0.2, 0.3) @ hand.rig.bone_rest
+    by_name = dict(zip(hand.bone_names, poses.copy(), strict=True))
+    hand.set_bones(poses)
+    by_place = hand.bones.copy()
+    poses[:] = np.nan
+    np.testing.assert_array_equal(hand.bones, by_place)
+    hand.set_bones({name: np.eye(4) for name in hand.bone_names})
+    hand.set_bones(by_name)
+    np.testing.assert_array_equal(hand.bones, by_place)
+    hand.set_bones(by_place.astype(np.float32).tolist())
+    np.testing.assert_allclose(hand.bones, by_place, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [((2, 4, 4), "2, 4, 4.*3 bones"), ((3, 3, 3), "3, 3, 3"), ((4, 4), "4, 4"), ((0,), "0,")],
+)
+def test_an_array_of_another_shape_is_refused(hand: Hand, shape: tuple[int, ...], message: str):
+    """Say which shape is expected, and keep the pose."""
+    before = hand.bones.copy()
+    with pytest.raises(ValueError, match=message):
+        hand.set_bones(np.zeros(shape))
+    np.testing.assert_array_equal(hand.bones, before)
+
+
 def _with(row: int, column: int, value: float) -> np.ndarray:
     pose = np.eye(4)
     pose[row, column] = value
@@ -60,6 +88,11 @@ def test_bad_bones_are_refused_and_the_last_good_pose_stays(
     with pytest.raises(ValueError, match=message):
         hand.set_bones({"bone_0": at(1.0, 0.0, 0.0), name: pose})
     np.testing.assert_array_equal(hand.bones, before)
+    if name in hand.bone_names and pose.shape == (4, 4):
+        poses = np.stack([at(1.0, 0.0, 0.0), pose, at(0.0, 0.0, 0.2)])
+        with pytest.raises(ValueError, match=message):
+            hand.set_bones(poses)
+        np.testing.assert_array_equal(hand.bones, before)
 
 
 @pytest.mark.parametrize(

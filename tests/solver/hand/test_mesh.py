@@ -120,7 +120,7 @@ def test_length_runs_from_wrist_to_middle_fingertip() -> None:
 
 
 def test_flat_fingers_stay_apart() -> None:
-    """Leave air between neighbouring fingers from a third of their length on."""
+    """Leave air between neighboring fingers from a third of their length on."""
     hand, shape = mesh_of(pose="flat"), hand_shape(pose="flat")
     for first, second in (("index", "middle"), ("middle", "ring"), ("ring", "little")):
         for segment in ("intermediate", "distal"):

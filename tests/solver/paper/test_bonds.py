@@ -24,7 +24,7 @@ STEP = 1 / 480
 
 
 class Clay:
-    """Particles with neighbours and bonds."""
+    """Particles with neighbors and bonds."""
 
     def __init__(self, points: np.ndarray, densities: tuple[float, float] = (1700.0, 1700.0)):
         scene = Scene(SPACING)

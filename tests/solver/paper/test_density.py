@@ -17,7 +17,7 @@ HEAVY, LIGHT = Material(density=4000.0), Material(density=500.0)
 
 
 def particles_at(points: np.ndarray) -> tuple[Particles, NeighborRows]:
-    """Particles, the first half heavy and the others light, and their neighbours."""
+    """Particles, the first half heavy and the others light, and their neighbors."""
     scene = Scene(SPACING)
     scene.add_clay(points[: len(points) // 2], HEAVY)
     scene.add_clay(points[len(points) // 2 :], LIGHT)
@@ -60,7 +60,7 @@ def test_kernel_integrates_to_one():
 
 @pytest.mark.parametrize("distance", [0.2, 0.45, 0.55, 0.9])
 def test_gradient_is_that_of_the_kernel(distance: float):
-    """Agree with a difference quotient; the gradient points to the neighbour."""
+    """Agree with a difference quotient; the gradient points to the neighbor."""
     step = 1e-3
     slope = (cubic_kernel(distance + step, 1.0) - cubic_kernel(distance - step, 1.0)) / (2 * step)
     gradient = np.array(cubic_gradient(wp.vec3(0.0, distance, 0.0), 1.0))

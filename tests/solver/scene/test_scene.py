@@ -9,7 +9,7 @@ from tactile_clay.solver import Material, MeshError, Scene
 
 
 def test_clay_is_kept_in_the_order_added():
-    """Concatenate bodies, colours and materials in order."""
+    """Concatenate bodies, colors and materials in order."""
     scene = Scene(0.01)
     soft, stiff = Material(yield_stress=1e3), Material(yield_stress=1e4)
     first = scene.add_clay(np.zeros((2, 3)), soft, colors=(1, 0, 0, 1))
@@ -25,7 +25,7 @@ def test_clay_is_kept_in_the_order_added():
 
 
 def test_bad_clay_is_refused():
-    """Count points that are not finite; refuse colours of another length."""
+    """Count points that are not finite; refuse colors of another length."""
     scene = Scene(0.01)
     points = np.zeros((4, 3))
     points[1, 0] = np.inf
