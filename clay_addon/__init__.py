@@ -30,7 +30,7 @@ _MODULES = (
     "deliver.operators",
     "touch.properties",
     "touch.array",
-    "touch.touch",
+    "touch.connection",
     "touch.operators",
     "touch.sensitivity",
     "touch.record",

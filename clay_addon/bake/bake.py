@@ -26,7 +26,7 @@ from ..model.properties import frame_range
 from ..playback.packed import is_packed
 from ..playback.playback import paused, refresh
 from ..simulate.simulation import Simulation
-from ..touch.bake_touch import BakeTouch, own_touch
+from ..touch.feeling import BakeTouch, own_touch
 from ..wheel.wheel import WheelError, check_speeds, sample
 from .checkpoints import Checkpoints, restore_checkpoint
 from .checks import (

@@ -34,3 +34,33 @@ def redraw_views() -> None:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
+
+
+class ViewDrawing:
+    """Draws over every 3D view, in world coordinates, between `start` and `stop`.
+
+    Args:
+        draw: Called by Blender whenever a 3D view is drawn.
+    """
+
+    def __init__(self, draw: Callable[[], None]) -> None:
+        self._draw = draw
+        self._handle: Any = None
+
+    @property
+    def active(self) -> bool:
+        """Whether it draws."""
+        return self._handle is not None
+
+    def start(self) -> None:
+        """Begin; a second call does nothing, and so does one in the background."""
+        if not self.active and not bpy.app.background:
+            self._handle = bpy.types.SpaceView3D.draw_handler_add(
+                self._draw, (), "WINDOW", "POST_VIEW"
+            )
+
+    def stop(self) -> None:
+        """End; a second call does nothing."""
+        if self.active:
+            bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
+            self._handle = None

@@ -412,22 +412,20 @@ COMMANDS = {
 """What carries each command out."""
 
 
-_command: Any = None
+_registered: list[Any] = []
+"""What Blender gave for the command, while it is registered."""
 
 
 def register() -> None:
     """Make ``blender -c clay`` known."""
-    global _command
     import bpy
 
-    _command = bpy.utils.register_cli_command("clay", main_in_blender)
+    _registered.append(bpy.utils.register_cli_command("clay", main_in_blender))
 
 
 def unregister() -> None:
     """Forget ``blender -c clay``."""
-    global _command
     import bpy
 
-    if _command is not None:
-        bpy.utils.unregister_cli_command(_command)
-        _command = None
+    while _registered:
+        bpy.utils.unregister_cli_command(_registered.pop())

@@ -22,24 +22,26 @@ FASTEST_WHEEL = 400.0
 in the longest step of a live session."""
 
 
-_filling = False
+class _PresetFill:
+    """Whether values are being set by a preset, which does not make them custom."""
+
+    active = False
 
 
 def _fill_from_preset(properties: Any, context: bpy.types.Context) -> None:
-    global _filling
     name = properties.material_preset
     if name == CUSTOM or name.startswith(MISSING):
         return
     material = find_material(name)
-    _filling = True
+    _PresetFill.active = True
     try:
         write_material(properties, material)
     finally:
-        _filling = False
+        _PresetFill.active = False
 
 
 def _become_custom(properties: Any, context: bpy.types.Context) -> None:
-    if not _filling and properties.material_preset != CUSTOM:
+    if not _PresetFill.active and properties.material_preset != CUSTOM:
         properties.material_preset = CUSTOM
 
 

@@ -8,6 +8,7 @@ of a `Material`.
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import tempfile
@@ -121,22 +122,36 @@ def _read(path: Path) -> UserMaterial:
     return UserMaterial(path.stem, label.strip()[:LABEL_LENGTH], material)
 
 
-_known: tuple[float, object, UserMaterials] | None = None
+class _MaterialShelf:
+    """The user's materials as they were last read."""
+
+    def __init__(self) -> None:
+        self._read_at = -math.inf
+        self._signature: object = None
+        self._materials = UserMaterials((), ())
+
+    def materials(self) -> UserMaterials:
+        """The materials, at most a second old."""
+        now = time.monotonic()
+        if now - self._read_at >= _FRESH_SECONDS:
+            folder = user_material_folder()
+            signature = (folder, _signature(folder))
+            if signature != self._signature:
+                self._signature, self._materials = signature, read_user_materials(folder)
+            self._read_at = now
+        return self._materials
+
+    def forget(self) -> None:
+        """Look at the folder again when next asked, however soon."""
+        self._read_at, self._signature = -math.inf, None
+
+
+_shelf = _MaterialShelf()
 
 
 def user_materials() -> UserMaterials:
     """The user's materials, at most a second old."""
-    global _known
-    now = time.monotonic()
-    if _known is not None and now - _known[0] < _FRESH_SECONDS:
-        return _known[2]
-    folder = user_material_folder()
-    signature = (folder, _signature(folder))
-    if _known is not None and _known[1] == signature:
-        _known = (now, signature, _known[2])
-    else:
-        _known = (now, signature, read_user_materials(folder))
-    return _known[2]
+    return _shelf.materials()
 
 
 def _signature(folder: Path) -> tuple[tuple[str, int, int], ...]:
@@ -151,8 +166,7 @@ def _signature(folder: Path) -> tuple[tuple[str, int, int], ...]:
 
 def forget_user_materials() -> None:
     """Look at the folder again when next asked, however soon."""
-    global _known
-    _known = None
+    _shelf.forget()
 
 
 def save_user_material(label: str, material: Material, *, replace: bool = False) -> UserMaterial:

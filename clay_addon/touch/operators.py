@@ -8,8 +8,8 @@ import numpy as np
 from mathutils import Matrix
 
 from ..base.units import from_meters
-from . import touch
 from .array import TouchArrayError, placed_array
+from .connection import TouchError, touch
 
 _PICTURE = "Touch Field"
 _EDGE = 0.16
@@ -27,7 +27,7 @@ class CLAY_OT_touch_connect(bpy.types.Operator):  # noqa: N801
         """Start the server."""
         try:
             touch.connect(context)
-        except (touch.TouchError, TouchArrayError) as error:
+        except (TouchError, TouchArrayError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
@@ -65,9 +65,9 @@ def field_picture(scene: bpy.types.Scene) -> bpy.types.Object:
 
     array, frame = placed_array(scene), touch.shown
     if array is None:
-        raise touch.TouchError("There is no array in this scene: Add > Ultrasound Array.")
+        raise TouchError("There is no array in this scene: Add > Ultrasound Array.")
     if frame is None or len(frame.positions) == 0:
-        raise touch.TouchError("Nothing is felt at this frame, so there is no sound to paint.")
+        raise TouchError("Nothing is felt at this frame, so there is no sound to paint.")
     drive = solve_drive(array, frame.positions, frame.pressures)
     points, pressures = frame.positions, frame.pressures
     if frame.skin is not None and frame.wanted is not None and len(frame.skin):
@@ -103,7 +103,7 @@ class CLAY_OT_touch_picture(bpy.types.Operator):  # noqa: N801
         """Paint it."""
         try:
             item = field_picture(context.scene)
-        except (touch.TouchError, TouchArrayError) as error:
+        except (TouchError, TouchArrayError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         largest = item.data["largest_pressure"]

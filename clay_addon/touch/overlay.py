@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.app_handlers import ViewDrawing
 from ..base.units import meters_per_unit
-from . import touch
+from .connection import touch
 
 if TYPE_CHECKING:
     from ...haptics.foci.pipeline import TouchFrame
@@ -20,8 +21,6 @@ _SKIN_SIZE = 6.0
 """Size of a point of the skin [pixels]."""
 _FAINT = 0.03
 """Skin with less of the greatest pressure is not drawn."""
-
-_handle: Any = None
 
 
 def focus_rings(
@@ -125,16 +124,14 @@ def _draw() -> None:
     )
 
 
+_drawing = ViewDrawing(_draw)
+
+
 def register() -> None:
     """Draw over every 3D view; in the background there is none."""
-    global _handle
-    if _handle is None and not bpy.app.background:
-        _handle = bpy.types.SpaceView3D.draw_handler_add(_draw, (), "WINDOW", "POST_VIEW")
+    _drawing.start()
 
 
 def unregister() -> None:
     """Draw no more."""
-    global _handle
-    if _handle is not None:
-        bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
-        _handle = None
+    _drawing.stop()

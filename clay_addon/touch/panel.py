@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..base.preferences import draw_text
-from . import touch
+from .connection import missing_touch_part, touch
 
 _ADDRESSES = {
     "SONICSURFACE": ("port", "firmware"),
@@ -73,7 +73,7 @@ class CLAY_PT_touch(bpy.types.Panel):  # noqa: N801
         column.prop(properties, "kind")
         for name in _ADDRESSES.get(properties.kind, ()):
             column.prop(properties, name)
-        missing = touch.missing_touch_part(properties.kind)
+        missing = missing_touch_part(properties.kind)
         if missing:
             draw_text(layout.box(), missing, icon="ERROR")
         elif touch.client is None:

@@ -18,8 +18,8 @@ from ..base.units import meters_per_unit
 from ..core.storage.cache import Cache, CacheError, Meta
 from ..core.storage.foci import FociFrame, read_foci, write_foci
 from ..playback.playback import cache_of
-from . import touch
 from .array import TouchArrayError
+from .connection import touch
 
 if TYPE_CHECKING:
     from ...haptics.foci.pipeline import TouchFrame
@@ -62,20 +62,23 @@ def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
     )
 
 
-_playing = True
+class TouchReplay:
+    """Whether what was recorded is felt while the bake plays."""
+
+    def __init__(self) -> None:
+        self.paused = False
+        """Set while a live session or a bake feels for itself."""
 
 
-def pause_replay(paused: bool) -> None:
-    """Leave the recording alone while a live session or a bake feels for itself."""
-    global _playing
-    _playing = not paused
+replay = TouchReplay()
+"""One for the process, since Blender calls its handlers without any state."""
 
 
 @persistent
 def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
     """Feel what was recorded at the frame that is shown now."""
     properties = scene.tactile_touch
-    if not _playing or not properties.play_baked or properties.array is None:
+    if replay.paused or not properties.play_baked or properties.array is None:
         return
     # A render goes by in a thread of its own, and not in time.
     if bpy.app.is_job_running("RENDER"):

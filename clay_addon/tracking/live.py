@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import time
 from collections import deque
@@ -32,8 +33,7 @@ STEP_SECONDS = 1.0 / 60.0
 _RECENT = 300
 """So many frames of each hand are kept, to measure it by."""
 
-session: LiveTracking | None = None
-"""The tracking that runs; None while there is none."""
+_logger = logging.getLogger(__name__)
 
 
 class LiveTracking:
@@ -205,46 +205,61 @@ def sender_command(scene: bpy.types.Scene) -> list[str]:
     return [sys.executable, "-c", entry, "track", *words]
 
 
-def start(scene: bpy.types.Scene) -> LiveTracking:
-    """Start to track; tracking that runs is stopped first.
+class CurrentTracking:
+    """Starts and ends tracking; there is never more than one."""
 
-    Raises:
-        TrackingError: As for `LiveTracking`.
-    """
-    global session
-    stop()
-    session = LiveTracking(scene)
-    if not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=0.0)
-    return session
+    def __init__(self) -> None:
+        self.session: LiveTracking | None = None
+        """What tracks now; None while nothing does."""
 
+    def start(self, scene: bpy.types.Scene) -> LiveTracking:
+        """Start to track; tracking that runs is stopped first.
 
-def stop() -> str:
-    """Stop to track; what went wrong while doing so, else empty. A second call does nothing."""
-    global session
-    ended, session = session, None
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
-    if ended is None:
+        Raises:
+            TrackingError: As for `LiveTracking`.
+        """
+        self.stop()
+        self.session = LiveTracking(scene)
+        _logger.info("Tracking starts: %s", scene.tactile_clay_tracking.source)
+        if not bpy.app.timers.is_registered(_tick):
+            bpy.app.timers.register(_tick, first_interval=0.0)
+        return self.session
+
+    def stop(self) -> str:
+        """Stop to track.
+
+        Returns:
+            What went wrong while doing so; empty where nothing did, or nothing was tracking.
+        """
+        ended, self.session = self.session, None
+        if bpy.app.timers.is_registered(_tick):
+            bpy.app.timers.unregister(_tick)
+        if ended is None:
+            return ""
+        try:
+            ended.stop()
+        except TrackingError as error:
+            _logger.warning("Tracking ended with an error: %s", error)
+            return str(error)
+        _logger.info("Tracking stops")
         return ""
-    try:
-        ended.stop()
-    except TrackingError as error:
-        return str(error)
-    return ""
+
+
+tracking = CurrentTracking()
+"""The tracking of this Blender."""
 
 
 def _tick() -> float | None:
-    if session is None:
+    if tracking.session is None:
         return None
     try:
-        goes_on = session.step()
+        goes_on = tracking.session.step()
     except BaseException:
         # Nothing may go on half, with the port held.
-        stop()
+        tracking.stop()
         raise
     if not goes_on:
-        stop()
+        tracking.stop()
         return None
     redraw_views()
     return STEP_SECONDS
@@ -252,7 +267,7 @@ def _tick() -> float | None:
 
 @persistent
 def _on_load(*_: object) -> None:
-    stop()
+    tracking.stop()
 
 
 def register() -> None:
@@ -262,5 +277,5 @@ def register() -> None:
 
 def unregister() -> None:
     """End tracking, and take the handler away."""
-    stop()
+    tracking.stop()
     remove_handlers((("load_pre", _on_load),))

@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -223,8 +224,11 @@ class TransducerArray:
         return sorted(path.stem for path in _PRESET_FOLDER.glob("*.toml"))
 
     @classmethod
+    @cache
     def preset(cls, name: str) -> TransducerArray:
-        """Read an array that ships with the project (``presets/arrays/*.toml``).
+        """An array that ships with the project (``presets/arrays/*.toml``).
+
+        Its file is read once: arrays are asked for in each frame, and never change.
 
         Raises:
             ValueError: No such preset, or its file is damaged; the message says which are there.

@@ -45,8 +45,8 @@ class ArrayServerError(TactileClayError):
     """The array server cannot be started or does not answer; the message says what to do."""
 
 
-class Foci(Protocol):
-    """Focal points, as `focus` gives them."""
+class FocalPoints(Protocol):
+    """Anything with focal points, such as the `Foci` that `focus` gives."""
 
     @property
     def positions(self) -> NDArray[np.floating]:
@@ -193,7 +193,7 @@ class ArrayClient:
 
     def send(
         self,
-        foci: Foci,
+        foci: FocalPoints,
         *,
         modulation: Modulation = Modulation.AMPLITUDE,
         time: float | None = None,

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 bpy.ops.preferences.addon_enable(module="bl_ext.user_default.tactile_clay")
-from bl_ext.user_default.tactile_clay.clay_addon.touch import touch
+from bl_ext.user_default.tactile_clay.clay_addon.touch.connection import touch
 from bl_ext.user_default.tactile_clay.haptics.foci.pipeline import TouchFrame
 
 scene = bpy.context.scene

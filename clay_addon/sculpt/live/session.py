@@ -29,7 +29,7 @@ from ...model.clay_points import keep_sculpted
 from ...model.clay_scene import SimulationError, solver_device
 from ...playback.playback import paused, refresh
 from ...simulate.simulation import Simulation
-from ...touch.bake_touch import own_touch
+from ...touch.feeling import own_touch
 from ...wheel.live import LiveWheels
 from .autosave import Autosave
 from .checks import SculptError, check_free

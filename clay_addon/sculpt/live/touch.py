@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ...core.session.solver_worker import Stepped
 from ...simulate.simulation import Simulation
-from ...touch import touch
 from ...touch.array import TouchArrayError
-from ...touch.bake_touch import ghost_weights
+from ...touch.connection import touch
+from ...touch.feeling import ghost_weights
 
 
 class LiveTouch:

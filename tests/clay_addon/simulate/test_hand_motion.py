@@ -149,7 +149,7 @@ def test_stopped_bake_resumes_to_the_same(studio: Any, hand: Any, tmp_path: Path
     add_array(studio)
     first = bake(bpy.context, progress=lambda report: report.frame < 6)
     assert (first.cancelled, first.baked) == (True, 6)
-    assert touch_record._playing
+    assert not touch_record.replay.paused
     assert bake(bpy.context, resume=True).baked == LAST - 6
     assert frame_bytes(tmp_path / "clay_cache") == frame_bytes(tmp_path / "whole")
     assert Cache(tmp_path / "clay_cache").foci_frames() == list(range(1, LAST + 1))
@@ -237,7 +237,7 @@ def test_hand_switched_off_ends_the_bake(studio: Any, hand: Any) -> None:
     with pytest.raises(BakeError, match="At frame 3: 'Right hand' is switched off"):
         bake(bpy.context, progress=switch_off)
     assert Cache(Path(bpy.data.filepath).parent / "clay_cache").frames() == [1, 2]
-    assert touch_record._playing
+    assert not touch_record.replay.paused
 
 
 def test_what_keeps_touch_from_being_recorded_is_told(studio: Any, hand: Any) -> None:

@@ -18,19 +18,11 @@ import tactile_clay.haptics
 from tactile_clay.clay_addon.bake.bake import bake
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheDamagedError, CacheMissingError
 from tactile_clay.clay_addon.core.storage.foci import FociFrame, read_foci, write_foci
-from tactile_clay.clay_addon.touch import (
-    overlay as touch_overlay,
-)
-from tactile_clay.clay_addon.touch import (
-    panel as touch_panel,
-)
-from tactile_clay.clay_addon.touch import (
-    record as touch_record,
-)
-from tactile_clay.clay_addon.touch import (
-    touch,
-)
+from tactile_clay.clay_addon.touch import overlay as touch_overlay
+from tactile_clay.clay_addon.touch import panel as touch_panel
+from tactile_clay.clay_addon.touch import record as touch_record
 from tactile_clay.clay_addon.touch.array import TouchArrayError, placed_array
+from tactile_clay.clay_addon.touch.connection import touch
 from tactile_clay.clay_addon.touch.operators import field_picture
 from tactile_clay.clay_addon.touch.properties import device_name
 from tactile_clay.haptics import TransducerArray, acoustic_field
@@ -294,10 +286,10 @@ def test_a_recorded_session_is_felt_again(studio: Any, tmp_path: Path) -> None:
     assert touch.status.foci == 2
     assert touch.shown is not None
     assert touch.shown.positions[0, 2] == pytest.approx(0.2)
-    touch_record.pause_replay(True)
+    touch_record.replay.paused = True
     studio.scene.frame_set(2)
     assert touch.shown.positions[0, 2] == pytest.approx(0.2)
-    touch_record.pause_replay(False)
+    touch_record.replay.paused = False
     studio.scene.frame_set(3)
     assert touch.shown is None
 
@@ -356,7 +348,7 @@ def test_the_overlay_is_left_out_in_the_background() -> None:
     """Add no draw handler where there is no 3D view."""
     assert bpy.app.background
     touch_overlay.register()
-    assert touch_overlay._handle is None
+    assert not touch_overlay._drawing.active
     touch_overlay.unregister()
 
 

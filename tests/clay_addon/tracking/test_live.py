@@ -45,7 +45,7 @@ class Stage:
     def start(self) -> None:
         """Press Start Tracking."""
         assert bpy.ops.clay.tracking_start() == {"FINISHED"}
-        self.session = live.session
+        self.session = live.tracking.session
 
     def show(self, milliseconds: float, *, at: Any = (0.1, 0.3, -0.2)) -> None:
         """Show both hands for so long, and let the timer run at each frame."""
@@ -64,7 +64,7 @@ def stage(studio: Any, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterato
     """A scene ready to be tracked in."""
     stage = Stage(clock, monkeypatch)
     yield stage
-    live.stop()
+    live.tracking.stop()
     stage.wire.close()
 
 
@@ -161,7 +161,7 @@ def test_recording_needs_a_place(stage: Stage) -> None:
 def test_start_without_a_hand_is_refused(studio: Any) -> None:
     """Say what to choose."""
     assert "Choose the armature" in studio.refused(bpy.ops.clay.tracking_start)
-    assert live.session is None
+    assert live.tracking.session is None
 
 
 def test_port_in_use_is_explained(stage: Stage) -> None:
@@ -183,8 +183,8 @@ def test_starting_twice_and_stopping_twice_is_well(stage: Stage) -> None:
     stage.start()
     stage.start()
     assert bpy.app.timers.is_registered(live._tick)
-    assert live.stop() == ""
-    assert live.stop() == ""
+    assert live.tracking.stop() == ""
+    assert live.tracking.stop() == ""
     assert not bpy.app.timers.is_registered(live._tick)
     assert live._tick() is None
 
@@ -202,7 +202,7 @@ def test_tracking_ends_with_what_it_is_about(stage: Stage, how: str) -> None:
     else:
         bpy.context.scene.name = "Another"
         live._tick()
-    assert live.session is None
+    assert live.tracking.session is None
     assert not bpy.app.timers.is_registered(live._tick)
     assert stage.session.receiver.drain() == []
     tactile_clay.register()
@@ -214,7 +214,7 @@ def test_deleted_armature_is_no_error(stage: Stage) -> None:
     stage.show(100)
     bpy.data.objects.remove(stage.hands["left"])
     stage.show(100)
-    assert live.session is not None
+    assert live.tracking.session is not None
     assert stage.hands["right"][CONTACT_PROPERTY] > 0.5
 
 
@@ -226,7 +226,7 @@ def test_error_in_the_timer_lets_go_of_everything(
     monkeypatch.setattr(stage.session.receiver, "drain", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         live._tick()
-    assert live.session is None
+    assert live.tracking.session is None
 
 
 def wait_until(true: Any) -> None:
@@ -251,7 +251,7 @@ def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path)
     stage.start()
     wait_until(lambda: stage.session.receiver.accepted > 40)
     assert stage.session.sender.runs
-    live.stop()
+    live.tracking.stop()
     assert not stage.session.sender.runs
     assert stage.session.sender.problem == ""
 

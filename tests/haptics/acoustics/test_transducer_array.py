@@ -153,3 +153,16 @@ def rotation(turn, shift) -> np.ndarray:
         pose = step @ pose
     pose[:3, 3] = shift
     return pose
+
+
+def test_preset_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Open no file for an array that was asked for before: live frames ask for it each time."""
+    first = {name: TransducerArray.preset(name) for name in TransducerArray.preset_names()}
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("a file is read")
+
+    for method in ("read_text", "open", "glob"):
+        monkeypatch.setattr(Path, method, refuse)
+    for name, array in first.items():
+        assert TransducerArray.preset(name) is array

@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from ..core.storage.cache import Cache, Meta
 from ..simulate.simulation import Simulation
-from . import touch
 from .array import TouchArrayError, placed_array
-from .record import pause_replay, record_touch
+from .connection import touch
+from .record import record_touch, replay
 
 
 @contextmanager
 def own_touch() -> Iterator[None]:
     """Leave what was recorded alone inside the context, and forget what was felt before."""
-    pause_replay(True)
+    replay.paused = True
     touch.rest()
     try:
         yield
     finally:
         touch.rest()
-        pause_replay(False)
+        replay.paused = False
 
 
 class BakeTouch:
