@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import tactile_clay
-from tactile_clay.clay_addon.bake import operators as bake_operators
+from tactile_clay.clay_addon.base.activity import ActivityKind, clay_activity
 from tactile_clay.clay_addon.core.tracking import TrackingError
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
 from tactile_clay.clay_addon.core.tracking.protocol.joints import reference_hand
@@ -95,7 +95,7 @@ def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.Monk
     stage.start()
     stage.show(300)
     before = head_positions(stage.hands["left"])
-    monkeypatch.setattr(bake_operators, "running", object())
+    monkeypatch.setattr(clay_activity, "kind", ActivityKind.BAKE)
     stage.show(100, at=(0.15, 0.3, -0.2))
     after = head_positions(stage.hands["left"])
     assert all(np.array_equal(before[name], after[name]) for name in before)
