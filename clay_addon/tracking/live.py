@@ -20,7 +20,7 @@ from ..base.redraw import redraw_views
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.hand_tracker import HandTracker
 from ..core.tracking.hand.measured_hand import measured_hand
-from ..core.tracking.hand.presence import Hand, State
+from ..core.tracking.hand.presence import State, TrackedHand
 from ..core.tracking.hand.retarget import HandTarget
 from ..core.tracking.protocol.joints import SIDES
 from ..core.tracking.protocol.packet import HandFrame
@@ -52,7 +52,7 @@ class LiveTracking:
         self._clock = clock
         self._tracker = HandTracker()
         self._targets: dict[str, tuple[str, HandTarget]] = {}
-        self._hands: dict[str, Hand] = {}
+        self._hands: dict[str, TrackedHand] = {}
         self._written: dict[str, State] = {}
         self._recent: dict[str, deque[HandFrame]] = {side: deque(maxlen=_RECENT) for side in SIDES}
         self._recorder: Recorder | None = None
@@ -78,7 +78,7 @@ class LiveTracking:
         """The recording that is being written; None while there is none."""
         return self._recorder
 
-    def hand(self, side: str) -> Hand | None:
+    def hand(self, side: str) -> TrackedHand | None:
         """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
         return self._hands.get(side)
 
