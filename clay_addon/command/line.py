@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .output import ProgressLine, diverted_output, output_text
 from .words import (
@@ -26,9 +26,6 @@ from .words import (
     Outcome,
     make_parser,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 class _CommandError(Exception):
@@ -411,22 +408,27 @@ COMMANDS = {
 """What carries each command out."""
 
 
-_command: Any = None
+class _BlenderCommand:
+    """The entry for ``blender -c clay``, while the add-on is enabled."""
+
+    def __init__(self) -> None:
+        self._handle: Any = None
+
+    def register(self) -> None:
+        """Make ``blender -c clay`` known."""
+        import bpy
+
+        self._handle = bpy.utils.register_cli_command("clay", main_in_blender)
+
+    def unregister(self) -> None:
+        """Forget ``blender -c clay``; without it, do nothing."""
+        import bpy
+
+        if self._handle is not None:
+            bpy.utils.unregister_cli_command(self._handle)
+            self._handle = None
 
 
-def register() -> None:
-    """Make ``blender -c clay`` known."""
-    global _command
-    import bpy
-
-    _command = bpy.utils.register_cli_command("clay", main_in_blender)
-
-
-def unregister() -> None:
-    """Forget ``blender -c clay``."""
-    global _command
-    import bpy
-
-    if _command is not None:
-        bpy.utils.unregister_cli_command(_command)
-        _command = None
+_blender_command = _BlenderCommand()
+register = _blender_command.register
+unregister = _blender_command.unregister

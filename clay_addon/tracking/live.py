@@ -5,21 +5,17 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
-from numpy.typing import NDArray
 
 from ..bake import operators as bake_operators
 from ..base.app_handlers import add_handlers, remove_handlers
 from ..base.redraw import redraw_views
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.hand_tracker import HandTracker
-from ..core.tracking.hand.measured_hand import measured_hand
 from ..core.tracking.hand.presence import State, TrackedHand
 from ..core.tracking.hand.retarget import HandTarget
 from ..core.tracking.protocol.joints import SIDES
@@ -30,11 +26,6 @@ from ..core.tracking.sources.sender_process import SenderProcess
 from .armature import is_hand, placed, read_target, side_of, write_pose
 
 STEP_SECONDS = 1.0 / 60.0
-_RECENT = 300
-"""So many frames of each hand are kept, to measure it by."""
-
-session: LiveTracking | None = None
-"""The tracking that runs; None while there is none."""
 
 
 class LiveTracking:
@@ -54,7 +45,6 @@ class LiveTracking:
         self._targets: dict[str, tuple[str, HandTarget]] = {}
         self._hands: dict[str, TrackedHand] = {}
         self._written: dict[str, State] = {}
-        self._recent: dict[str, deque[HandFrame]] = {side: deque(maxlen=_RECENT) for side in SIDES}
         self._recorder: Recorder | None = None
         self.problem = ""
         """What went wrong last, for the panel."""
@@ -82,17 +72,6 @@ class LiveTracking:
         """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
         return self._hands.get(side)
 
-    def measured(self, side: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The person's own hand by the last frames of it; see `measured_hand`.
-
-        Returns:
-            Position of each joint of a flat hand [m], shape [26, 3], and radii [m], shape [26].
-
-        Raises:
-            TrackingError: It was hardly seen yet.
-        """
-        return measured_hand(self._recent[side])
-
     def record(self, path: Path) -> None:
         """Begin to record what arrives.
 
@@ -118,7 +97,6 @@ class LiveTracking:
             return False
         for arrival in self.receiver.drain():
             self._tracker.take(arrival.frame, arrival.seen)
-            self._recent[arrival.frame.side].append(arrival.frame)
             self._record(arrival.frame, arrival.seen)
         now = self._clock()
         hands = {side: self._tracker.hand(side, now) for side in SIDES}
@@ -206,46 +184,60 @@ def sender_command(scene: bpy.types.Scene) -> list[str]:
     return [sys.executable, "-c", entry, "track", *words]
 
 
-def start(scene: bpy.types.Scene) -> LiveTracking:
-    """Start to track; tracking that runs is stopped first.
+class RunningTracking:
+    """The one tracking session of this Blender, and the timer that advances it."""
 
-    Raises:
-        TrackingError: As for `LiveTracking`.
-    """
-    global session
-    stop()
-    session = LiveTracking(scene)
-    if not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=0.0)
-    return session
+    def __init__(self) -> None:
+        """Begin with no session."""
+        self.session: LiveTracking | None = None
+        """The session that is running; None while there is none."""
 
+    def start(self, scene: bpy.types.Scene) -> LiveTracking:
+        """Start tracking; a running session is stopped first.
 
-def stop() -> str:
-    """Stop to track; what went wrong while doing so, else empty. A second call does nothing."""
-    global session
-    ended, session = session, None
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
-    if ended is None:
+        Raises:
+            TrackingError: As for `LiveTracking`.
+        """
+        self.stop()
+        self.session = LiveTracking(scene)
+        if not bpy.app.timers.is_registered(_tick):
+            bpy.app.timers.register(_tick, first_interval=0.0)
+        return self.session
+
+    def stop(self) -> str:
+        """Stop tracking; a second call does nothing.
+
+        Returns:
+            What went wrong while stopping, else an empty string.
+        """
+        ended, self.session = self.session, None
+        if bpy.app.timers.is_registered(_tick):
+            bpy.app.timers.unregister(_tick)
+        if ended is None:
+            return ""
+        try:
+            ended.stop()
+        except TrackingError as error:
+            return str(error)
         return ""
-    try:
-        ended.stop()
-    except TrackingError as error:
-        return str(error)
-    return ""
+
+
+running = RunningTracking()
+"""What operators, panel and timer share."""
 
 
 def _tick() -> float | None:
+    session = running.session
     if session is None:
         return None
     try:
-        goes_on = session.step()
+        continues = session.step()
     except BaseException:
-        # Nothing may go on half, with the port held.
-        stop()
+        # A broken session must not keep the port.
+        running.stop()
         raise
-    if not goes_on:
-        stop()
+    if not continues:
+        running.stop()
         return None
     redraw_views()
     return STEP_SECONDS
@@ -253,7 +245,7 @@ def _tick() -> float | None:
 
 @persistent
 def _on_load(*_: object) -> None:
-    stop()
+    running.stop()
 
 
 def register() -> None:
@@ -263,5 +255,5 @@ def register() -> None:
 
 def unregister() -> None:
     """End tracking, and take the handler away."""
-    stop()
+    running.stop()
     remove_handlers((("load_pre", _on_load),))

@@ -23,7 +23,7 @@ class CLAY_OT_tracking_start(bpy.types.Operator):  # noqa: N801
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Open the receiver and start the timer."""
         try:
-            session = live.start(context.scene)
+            session = live.running.start(context.scene)
         except TrackingError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -41,11 +41,11 @@ class CLAY_OT_tracking_stop(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while tracking runs."""
-        return live.session is not None
+        return live.running.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Stop the timer and close the receiver."""
-        problem = live.stop()
+        problem = live.running.stop()
         if problem:
             self.report({"ERROR"}, problem)
         return {"FINISHED"}
@@ -61,11 +61,11 @@ class CLAY_OT_tracking_record(bpy.types.Operator):  # noqa: N801
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only while tracking runs."""
-        return live.session is not None
+        return live.running.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Begin or end."""
-        session = live.session
+        session = live.running.session
         if session is None:
             self.report({"ERROR"}, "Tracking does not run. Press Start Tracking first.")
             return {"CANCELLED"}
@@ -113,7 +113,7 @@ class CLAY_OT_tracking_import(bpy.types.Operator):  # noqa: N801
         scene = context.scene
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            if live.session is not None:
+            if live.running.session is not None:
                 raise TrackingError("Stop tracking first: it would move the hands off their keys.")
             done = import_recording(
                 scene,

@@ -28,7 +28,7 @@ class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
         layout.use_property_split = True
         layout.use_property_decorate = False
         properties = context.scene.tactile_clay_tracking
-        session = live.session
+        session = live.running.session
         column = layout.column()
         column.prop(properties, "left")
         column.prop(properties, "right")

@@ -230,7 +230,7 @@ def steps():
     with in_view():
         assert bpy.ops.clay.tracking_start() == {"FINISHED"}
     def seen():
-        hand = live.session.hand("right")
+        hand = live.running.session.hand("right")
         return hand is not None and hand.contact == 1.0
     yield seen
     start()

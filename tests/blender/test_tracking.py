@@ -28,7 +28,7 @@ draw = panel.CLAY_PT_tracking.draw
 
 def draw_and_record(self, context):
     draw(self, context)
-    drawn.append(live.session is not None)
+    drawn.append(live.running.session is not None)
 
 panel.CLAY_PT_tracking.draw = draw_and_record
 
@@ -65,7 +65,7 @@ def begin():
     bpy.app.timers.register(look, first_interval=0.2)
 
 def look():
-    session = live.session
+    session = live.running.session
     if session is None:
         print("ENDED BY ITSELF", flush=True)
         bpy.ops.wm.quit_blender()

@@ -14,9 +14,7 @@ import pytest
 
 import tactile_clay
 from tactile_clay.clay_addon.bake import operators as bake_operators
-from tactile_clay.clay_addon.core.tracking import TrackingError
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
-from tactile_clay.clay_addon.core.tracking.protocol.joints import reference_hand
 from tactile_clay.clay_addon.core.tracking.protocol.packet import encode
 from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder, read_recording
 from tactile_clay.clay_addon.tracking import live, panel
@@ -45,7 +43,7 @@ class Stage:
     def start(self) -> None:
         """Press Start Tracking."""
         assert bpy.ops.clay.tracking_start() == {"FINISHED"}
-        self.session = live.session
+        self.session = live.running.session
 
     def show(self, milliseconds: float, *, at: Any = (0.1, 0.3, -0.2)) -> None:
         """Show both hands for so long, and let the timer run at each frame."""
@@ -64,7 +62,7 @@ def stage(studio: Any, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterato
     """A scene ready to be tracked in."""
     stage = Stage(clock, monkeypatch)
     yield stage
-    live.stop()
+    live.running.stop()
     stage.wire.close()
 
 
@@ -127,18 +125,6 @@ def test_what_arrives_is_recorded(stage: Stage, tmp_path: Path) -> None:
     assert len(read_recording(folder / "hands-003.jsonl")) == 10
 
 
-def test_persons_hand_is_measured(stage: Stage) -> None:
-    """Tell how large the hand is that is tracked, once it was seen for a moment."""
-    stage.start()
-    with pytest.raises(TrackingError, match="Hold it flat in view"):
-        stage.session.measured("left")
-    stage.show(200)
-    positions, radii = stage.session.measured("left")
-    reference = reference_hand("left")
-    assert np.allclose(positions[[2, 7, 9]], reference.positions[[2, 7, 9]], atol=1e-5)
-    assert np.allclose(radii, reference.radii, rtol=1e-4)
-
-
 def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:
     """Follow the tracker with an armature that has an action, until the frame changes."""
     item = stage.hands["right"]
@@ -161,7 +147,7 @@ def test_recording_needs_a_place(stage: Stage) -> None:
 def test_start_without_a_hand_is_refused(studio: Any) -> None:
     """Say what to choose."""
     assert "Choose the armature" in studio.refused(bpy.ops.clay.tracking_start)
-    assert live.session is None
+    assert live.running.session is None
 
 
 def test_port_in_use_is_explained(stage: Stage) -> None:
@@ -183,8 +169,8 @@ def test_starting_twice_and_stopping_twice_is_well(stage: Stage) -> None:
     stage.start()
     stage.start()
     assert bpy.app.timers.is_registered(live._tick)
-    assert live.stop() == ""
-    assert live.stop() == ""
+    assert live.running.stop() == ""
+    assert live.running.stop() == ""
     assert not bpy.app.timers.is_registered(live._tick)
     assert live._tick() is None
 
@@ -202,7 +188,7 @@ def test_tracking_ends_with_what_it_is_about(stage: Stage, how: str) -> None:
     else:
         bpy.context.scene.name = "Another"
         live._tick()
-    assert live.session is None
+    assert live.running.session is None
     assert not bpy.app.timers.is_registered(live._tick)
     assert stage.session.receiver.drain() == []
     tactile_clay.register()
@@ -214,7 +200,7 @@ def test_deleted_armature_is_no_error(stage: Stage) -> None:
     stage.show(100)
     bpy.data.objects.remove(stage.hands["left"])
     stage.show(100)
-    assert live.session is not None
+    assert live.running.session is not None
     assert stage.hands["right"][CONTACT_PROPERTY] > 0.5
 
 
@@ -226,7 +212,7 @@ def test_error_in_the_timer_lets_go_of_everything(
     monkeypatch.setattr(stage.session.receiver, "drain", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         live._tick()
-    assert live.session is None
+    assert live.running.session is None
 
 
 def wait_until(true: Any) -> None:
@@ -251,7 +237,7 @@ def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path)
     stage.start()
     wait_until(lambda: stage.session.receiver.accepted > 40)
     assert stage.session.sender.runs
-    live.stop()
+    live.running.stop()
     assert not stage.session.sender.runs
     assert stage.session.sender.problem == ""
 
