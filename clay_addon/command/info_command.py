@@ -13,10 +13,10 @@ from .words import EXIT_DONE, EXIT_STALE, Outcome
 def info_command(arguments: argparse.Namespace) -> Outcome:
     """Describe the scene; exit as stale where its bake cannot be used as it is."""
     context, scene = open_scene(arguments)
-    from .status import describe, inspect
+    from .status import scene_status, status_text
 
     with context.temp_override(scene=scene):
-        table = inspect(context, absolute_path(arguments.cache))
+        table = scene_status(context, absolute_path(arguments.cache))
     bake = table["bake"]
     unsound = bake["stale"] or bake["missing"] or bake["problem"]
-    return EXIT_STALE if unsound else EXIT_DONE, output_text(arguments, table, describe(table))
+    return EXIT_STALE if unsound else EXIT_DONE, output_text(arguments, table, status_text(table))
