@@ -30,7 +30,7 @@ from ..playback.playback import paused
 from ..simulate.simulation import Simulation
 
 
-def inspect(
+def scene_status(
     context: bpy.types.Context, directory: str | os.PathLike[str] | None = None
 ) -> dict[str, Any]:
     """Describe the clay, the colliders, the hands and the bake of a scene; needs no solver.
@@ -138,8 +138,8 @@ def _describe_bake(
     return table
 
 
-def describe(table: dict[str, Any]) -> str:
-    """What `inspect` gave, for people."""
+def status_text(table: dict[str, Any]) -> str:
+    """The table of `scene_status` as text."""
     lines = [f"{table['file'] or 'unsaved file'}, scene {table['scene']}"]
     for clay in table["clay"]:
         lines.append(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..base.units import pose_from_meters, pose_to_meters
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.bone_names import joints_of_bones, side_of_bones
-from ..core.tracking.hand.presence import Hand
+from ..core.tracking.hand.presence import TrackedHand
 from ..core.tracking.hand.retarget import HandTarget, RetargetError
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def read_target(armature: bpy.types.Object, side: str, scene: bpy.types.Scene) -
 
 
 def placed(
-    target: HandTarget, hand: Hand, origin: bpy.types.Object | None, scene: bpy.types.Scene
+    target: HandTarget, hand: TrackedHand, origin: bpy.types.Object | None, scene: bpy.types.Scene
 ) -> dict[str, Array]:
     """Where a hand puts a rig's bones, in world space and Blender units, shape [4, 4] each.
 

@@ -6,21 +6,17 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy.app.handlers import persistent
-from numpy.typing import NDArray
 
 from ..base.activity import ActivityKind, clay_activity
 from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.hand_tracker import HandTracker
-from ..core.tracking.hand.measured_hand import measured_hand
-from ..core.tracking.hand.presence import Hand, State
+from ..core.tracking.hand.presence import State, TrackedHand
 from ..core.tracking.hand.retarget import HandTarget
 from ..core.tracking.protocol.joints import SIDES
 from ..core.tracking.protocol.packet import HandFrame
@@ -30,8 +26,6 @@ from ..core.tracking.sources.sender_process import SenderProcess
 from .armature import is_hand, placed, read_target, side_of, write_pose
 
 STEP_SECONDS = 1.0 / 60.0
-_RECENT = 300
-"""So many frames of each hand are kept, to measure it by."""
 
 _logger = logging.getLogger(__name__)
 
@@ -51,9 +45,8 @@ class LiveTracking:
         self._clock = clock
         self._tracker = HandTracker()
         self._targets: dict[str, tuple[str, HandTarget]] = {}
-        self._hands: dict[str, Hand] = {}
+        self._hands: dict[str, TrackedHand] = {}
         self._written: dict[str, State] = {}
-        self._recent: dict[str, deque[HandFrame]] = {side: deque(maxlen=_RECENT) for side in SIDES}
         self._recorder: Recorder | None = None
         self.problem = ""
         """What went wrong last, for the panel."""
@@ -77,20 +70,9 @@ class LiveTracking:
         """The recording that is being written; None while there is none."""
         return self._recorder
 
-    def hand(self, side: str) -> Hand | None:
+    def hand(self, side: str) -> TrackedHand | None:
         """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
         return self._hands.get(side)
-
-    def measured(self, side: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The person's own hand by the last frames of it; see `measured_hand`.
-
-        Returns:
-            Position of each joint of a flat hand [m], shape [26, 3], and radii [m], shape [26].
-
-        Raises:
-            TrackingError: It was hardly seen yet.
-        """
-        return measured_hand(self._recent[side])
 
     def record(self, path: Path) -> None:
         """Begin to record what arrives.
@@ -117,7 +99,6 @@ class LiveTracking:
             return False
         for arrival in self.receiver.drain():
             self._tracker.take(arrival.frame, arrival.seen)
-            self._recent[arrival.frame.side].append(arrival.frame)
             self._record(arrival.frame, arrival.seen)
         now = self._clock()
         hands = {side: self._tracker.hand(side, now) for side in SIDES}

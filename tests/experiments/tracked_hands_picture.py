@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_clay.clay_addon.core.tracking.hand.presence import Hand
+from tactile_clay.clay_addon.core.tracking.hand.presence import TrackedHand
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP, HandTarget
 from tactile_clay.clay_addon.core.tracking.protocol.joints import (
     FINGERS,
@@ -63,7 +63,7 @@ def round_cone(start: Array, end: Array, first: float, second: float) -> Array:
     return np.concatenate([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
 
 
-def hand_triangles(target: HandTarget, hand: Hand) -> Array:
+def hand_triangles(target: HandTarget, hand: TrackedHand) -> Array:
     """A hand's bones as they lie on the rig [m], shape [T, 3, 3]."""
     posed = target.posed(hand.positions, hand.quaternions, hand.valid)
     places = np.array([posed[name][:3, 3] for name in JOINT_NAMES])
@@ -76,7 +76,9 @@ def hand_triangles(target: HandTarget, hand: Hand) -> Array:
     )
 
 
-def draw(axes: Any, hands: Sequence[Hand], targets: dict[str, HandTarget], title: str) -> None:
+def draw(
+    axes: Any, hands: Sequence[TrackedHand], targets: dict[str, HandTarget], title: str
+) -> None:
     """Draw the hands of one moment."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 

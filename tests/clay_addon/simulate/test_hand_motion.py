@@ -11,7 +11,7 @@ import pytest
 from mathutils import Matrix
 
 from tactile_clay.clay_addon.bake.bake import BakeError, BakeProgress, BakeStaleError, bake
-from tactile_clay.clay_addon.command.status import describe, inspect
+from tactile_clay.clay_addon.command.status import scene_status, status_text
 from tactile_clay.clay_addon.core.storage.cache import Cache
 from tactile_clay.clay_addon.hands.hand import hand_objects
 from tactile_clay.clay_addon.model.collider import ColliderError, make_collider
@@ -172,15 +172,15 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     bone.keyframe_insert("rotation_euler", frame=3)
     with pytest.raises(BakeStaleError, match="the hands' motion changed, first at frame 3"):
         bake(bpy.context, end=end, resume=True)
-    table = inspect(bpy.context)
+    table = scene_status(bpy.context)
     assert table["hands"][0]["problem"] == ""
     assert "the hands' motion changed, first at frame 3" in table["bake"]["stale"]
-    assert "hand      Right hand: right, " in describe(table)
+    assert "hand      Right hand: right, " in status_text(table)
 
     hand.data.vertices[0].co.z += 0.01
     with pytest.raises(BakeError, match=r"'Right hand' is not .* Press Make Clay Hand again"):
         bake(bpy.context, end=end)
-    assert "mesh has changed" in inspect(bpy.context)["hands"][0]["problem"]
+    assert "mesh has changed" in scene_status(bpy.context)["hands"][0]["problem"]
 
 
 def test_hand_that_is_lost_touches_nothing(studio: Any, hand: Any, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tactile_clay.clay_addon.bake.bake import BakeStaleError, bake
 from tactile_clay.clay_addon.command.line import main
-from tactile_clay.clay_addon.command.status import inspect
+from tactile_clay.clay_addon.command.status import scene_status
 from tactile_clay.clay_addon.core.storage.cache import Cache
 from tactile_clay.clay_addon.core.surface.exact import reconstruct
 from tactile_clay.clay_addon.core.tools.edits import Edit
@@ -253,7 +253,7 @@ def test_take_is_not_baked_over(studio: Any, tmp_path: Path) -> None:
     for operator in (bpy.ops.clay.bake, bpy.ops.clay.resume, bpy.ops.clay.free):
         with pytest.raises(RuntimeError, match="holds a recorded take"):
             operator()
-    table = inspect(bpy.context, None)
+    table = scene_status(bpy.context, None)
     assert table["bake"]["stale"] == table["bake"]["problem"] == ""
     state, warning = cache_state(studio.scene, Cache(tmp_path / "clay_cache_take_001"))
     assert "A recorded take of 7 frames" in state and warning == ""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile_clay.clay_addon.core.tracking import TrackingError
-from tactile_clay.clay_addon.core.tracking.hand.presence import Hand
+from tactile_clay.clay_addon.core.tracking.hand.presence import TrackedHand
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
 from tactile_clay.clay_addon.core.tracking.hand.skeleton import complete_hand
 from tactile_clay.clay_addon.core.tracking.protocol.joints import (
@@ -31,17 +31,19 @@ from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_p
 KINDS = ("openxr", "parentless", "animation")
 
 
-def seen_hand(side: str = "right", pose: str = "pinch") -> Hand:
+def seen_hand(side: str = "right", pose: str = "pinch") -> TrackedHand:
     """A hand as tracking shows it: bent, somewhere, with the rig's own measures."""
     shape = hand_shape(side, pose=pose)
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     positions = np.array([turn @ shape.joints[name] for name in JOINT_NAMES])
     positions += [0.1, 0.3, -0.2]
     joints = complete_hand(positions, side).astype(np.float64)
-    return Hand(side, "live", 0.75, joints[:, :3], joints[:, 3:7], np.ones(JOINT_COUNT, np.bool_))
+    return TrackedHand(
+        side, "live", 0.75, joints[:, :3], joints[:, 3:7], np.ones(JOINT_COUNT, np.bool_)
+    )
 
 
-def follow(item: Any, hand: Hand, origin: Any = None) -> dict[str, np.ndarray]:
+def follow(item: Any, hand: TrackedHand, origin: Any = None) -> dict[str, np.ndarray]:
     """Let an armature follow a hand; where its joints are then."""
     scene = bpy.context.scene
     target = read_target(item, hand.side, scene)

@@ -14,9 +14,7 @@ import pytest
 
 import tactile_clay
 from tactile_clay.clay_addon.base.activity import ActivityKind, clay_activity
-from tactile_clay.clay_addon.core.tracking import TrackingError
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
-from tactile_clay.clay_addon.core.tracking.protocol.joints import reference_hand
 from tactile_clay.clay_addon.core.tracking.protocol.packet import encode
 from tactile_clay.clay_addon.core.tracking.recording.recording import Recorder, read_recording
 from tactile_clay.clay_addon.tracking import live, panel
@@ -125,18 +123,6 @@ def test_what_arrives_is_recorded(stage: Stage, tmp_path: Path) -> None:
     # Stopping ends the recording as well.
     assert bpy.ops.clay.tracking_stop() == {"FINISHED"}
     assert len(read_recording(folder / "hands-003.jsonl")) == 10
-
-
-def test_persons_hand_is_measured(stage: Stage) -> None:
-    """Tell how large the hand is that is tracked, once it was seen for a moment."""
-    stage.start()
-    with pytest.raises(TrackingError, match="Hold it flat in view"):
-        stage.session.measured("left")
-    stage.show(200)
-    positions, radii = stage.session.measured("left")
-    reference = reference_hand("left")
-    assert np.allclose(positions[[2, 7, 9]], reference.positions[[2, 7, 9]], atol=1e-5)
-    assert np.allclose(radii, reference.radii, rtol=1e-4)
 
 
 def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:

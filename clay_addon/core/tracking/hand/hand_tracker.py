@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from ..protocol.joints import SIDES, WRIST
 from ..protocol.packet import HandFrame
-from .presence import Hand, Presence
+from .presence import Presence, TrackedHand
 
 _NEAR = 0.08
 """A hand this close to where the other was [m], and far from where it was itself, is doubtful."""
@@ -41,7 +41,7 @@ class HandTracker:
             return
         own.take(frame, seen)
 
-    def hand(self, side: str, now: int) -> Hand | None:
+    def hand(self, side: str, now: int) -> TrackedHand | None:
         """A hand at a time [ns]; None before one was seen."""
         return self._hands[side].hand(now)
 

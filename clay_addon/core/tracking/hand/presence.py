@@ -31,7 +31,7 @@ _JUMP, _FASTEST = 0.1, 6.0
 """A hand that moves further than this [m], and that much more a second [m/s], has jumped."""
 
 
-class Hand(NamedTuple):
+class TrackedHand(NamedTuple):
     """A hand as it is to be shown."""
 
     side: str
@@ -104,13 +104,13 @@ class Presence:
             return "lost"
         return "held" if self._doubted or age > 0.5 * HOLD else "live"
 
-    def hand(self, now: int) -> Hand | None:
+    def hand(self, now: int) -> TrackedHand | None:
         """The hand at a time; None before one was seen."""
         if self._pose is None or self._frame is None:
             return None
         self._advance(now)
         valid = (self._frame.valid >> np.arange(len(self._pose[0])) & 1).astype(bool)
-        return Hand(self.side, self.state(now), self._contact, *self._pose, valid)
+        return TrackedHand(self.side, self.state(now), self._contact, *self._pose, valid)
 
     def _has_jumped(self, wrist: NDArray[np.float64], seen: int) -> bool:
         return self.distance(wrist) > _JUMP + _FASTEST * max(0.0, self.age(seen))

@@ -10,7 +10,7 @@ import numpy as np
 
 from .....solver.geometry.rotations import slerp
 from ..hand.hand_tracker import HandTracker
-from ..hand.presence import Hand
+from ..hand.presence import TrackedHand
 from ..protocol.joints import SIDES
 from .recording import Entry
 
@@ -23,11 +23,13 @@ class Moment(NamedTuple):
 
     time: int
     """When [ns]."""
-    hand: Hand
+    hand: TrackedHand
     """The hand, filtered."""
 
 
-def resampled_hands(entries: Sequence[Entry], times: Sequence[int]) -> dict[str, list[Hand | None]]:
+def resampled_hands(
+    entries: Sequence[Entry], times: Sequence[int]
+) -> dict[str, list[TrackedHand | None]]:
     """Both hands at each of some times.
 
     Frames go through the same rules and filters as in live tracking, so that what was lost there is
@@ -43,7 +45,7 @@ def resampled_hands(entries: Sequence[Entry], times: Sequence[int]) -> dict[str,
     """
     tracker = HandTracker()
     moments: dict[str, list[Moment]] = {side: [] for side in SIDES}
-    sampled: dict[str, list[Hand | None]] = {side: [] for side in SIDES}
+    sampled: dict[str, list[TrackedHand | None]] = {side: [] for side in SIDES}
     number = 0
     for time in times:
         while number < len(entries) and entries[number].time <= time:
@@ -69,7 +71,7 @@ def _take(tracker: HandTracker, entry: Entry, moments: dict[str, list[Moment]]) 
         moments[entry.frame.side].append(Moment(entry.time, hand))
 
 
-def _interpolated(hand: Hand, time: int, moments: Sequence[Moment]) -> Hand:
+def _interpolated(hand: TrackedHand, time: int, moments: Sequence[Moment]) -> TrackedHand:
     after = int(np.searchsorted([moment.time for moment in moments], time, side="right"))
     if hand.state != "live" or not 0 < after < len(moments):
         return hand

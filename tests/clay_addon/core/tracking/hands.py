@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tactile_clay.clay_addon.core.tracking.hand.presence import Hand
+from tactile_clay.clay_addon.core.tracking.hand.presence import TrackedHand
 from tactile_clay.clay_addon.core.tracking.hand.retarget import Z_UP
 from tactile_clay.clay_addon.core.tracking.protocol.joints import (
     JOINT_COUNT,
@@ -51,7 +51,7 @@ class Clock:
         return self.now
 
 
-def shown(hand: Hand | None) -> Hand:
+def shown(hand: TrackedHand | None) -> TrackedHand:
     """A hand that is there."""
     assert hand is not None
     return hand

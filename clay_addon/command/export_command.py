@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`export`: write the clay of one frame as a mesh file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .blend_file import CommandError, absolute_path, open_scene
+from .output import output_text
+from .words import EXIT_DONE, EXIT_STALE, Outcome
+
+
+def export_command(arguments: argparse.Namespace) -> Outcome:
+    """Write the mesh file."""
+    context, scene = open_scene(arguments)
+    from ..core.surface.exact import SurfaceError
+    from ..deliver.export import ExportError, check_target, export_clay
+    from ..model.clay_scene import clay_objects
+    from ..playback.playback import message, shown_frame
+    from ..playback.poses import plays_itself
+
+    if arguments.cache is not None:
+        scene.tactile_clay.cache_directory = absolute_path(arguments.cache)
+    frame = scene.frame_current if arguments.frame is None else arguments.frame
+    try:
+        check_target(arguments.output, unit=arguments.unit)
+        with context.temp_override(scene=scene):
+            scene.frame_set(frame)
+            itself = all(plays_itself(item, frame) for item in clay_objects(scene))
+            if message(scene) and not itself:
+                raise CommandError(message(scene), EXIT_STALE)
+            shown = frame if itself else shown_frame(scene)
+            if shown is None and arguments.cache is not None:
+                raise CommandError(f"There is no bake in {absolute_path(arguments.cache)}.")
+            table = export_clay(
+                context,
+                arguments.output.absolute(),
+                unit=arguments.unit,
+                base=arguments.base,
+                wall=arguments.wall,
+            )
+    except (ExportError, SurfaceError) as error:
+        raise CommandError(str(error)) from error
+    if shown is None:
+        print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
+    elif shown != frame:
+        print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+    for warning in (table["print"] or {}).get("warnings", ()):
+        print(f"warning: {warning}", file=sys.stderr)
+    # Adding zero keeps rounding from writing -0.00.
+    volume_error = round(table["volume_error"], 4) + 0.0
+    return EXIT_DONE, output_text(
+        arguments,
+        {"frame": frame, "shown_frame": shown, **table},
+        f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
+        f"volume {volume_error:+.2%} off the particles' own.",
+    )

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`info`: what a file holds and how its bake stands."""
+
+from __future__ import annotations
+
+import argparse
+
+from .blend_file import absolute_path, open_scene
+from .output import output_text
+from .words import EXIT_DONE, EXIT_STALE, Outcome
+
+
+def info_command(arguments: argparse.Namespace) -> Outcome:
+    """Describe the scene; exit as stale where its bake cannot be used as it is."""
+    context, scene = open_scene(arguments)
+    from .status import scene_status, status_text
+
+    with context.temp_override(scene=scene):
+        table = scene_status(context, absolute_path(arguments.cache))
+    bake = table["bake"]
+    unsound = bake["stale"] or bake["missing"] or bake["problem"]
+    return EXIT_STALE if unsound else EXIT_DONE, output_text(arguments, table, status_text(table))
