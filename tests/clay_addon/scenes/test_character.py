@@ -73,11 +73,15 @@ def test_every_tool_works_and_is_out_of_the_way_in_the_end(
     scene: character_scene.Character,
 ) -> None:
     """Come near the clay once at least, off it at the first frame and far off at the last."""
-    points = clay_positions(scene.clay)[::12]
+    points = clay_positions(scene.clay)
+    tree = KDTree(len(points))
+    for index, place in enumerate(points.tolist()):
+        tree.insert(place, index)
+    tree.balance()
     nearest = np.full(len(scene.tools), np.inf)
     for frame in (1, *range(4, character_scene.FRAME_COUNT, 6), character_scene.FRAME_COUNT):
         for index, vertices in enumerate(tool_points(scene, frame)):
-            way = np.linalg.norm(vertices[::5, None] - points[None], axis=2).min()
+            way = min(tree.find(vertex)[2] for vertex in vertices[::5].tolist())
             nearest[index] = min(nearest[index], way)
             if frame == 1:
                 assert way > 0.5 * SPACING, scene.tools[index].name
