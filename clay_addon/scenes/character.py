@@ -161,11 +161,10 @@ def _add_tools(
         return made
 
     # Who presses on a head, holds it from behind.
-    # The nape is hollow: a palm there meets its rim first.
-    for name, height, gap in (("head", 1.14, 0.3), ("nape", 0.72, 1.3)):
+    for name, height in (("head", 1.14), ("nape", 0.55)):
         behind = skin.met((0.0, 1.0, height * HEAD), (0.0, -1.0, 0.0))[0]
         palm = tool(f"Palm behind, {name}", "palm", 0.012, _RUBBER, 0.0)
-        palm.press((behind, Vector((0.0, 1.0, 0.0))), -gap * SPACING, (-16, 1, 144, 152))
+        palm.press((behind, Vector((0.0, 1.0, 0.0))), -0.3 * SPACING, (-16, 1, 144, 152))
 
     eye = _eye(skin)
     for side, spot in (("left", eye), ("right", mirrored(eye))):
