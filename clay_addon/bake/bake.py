@@ -101,7 +101,7 @@ class BakeResult:
 
 
 @dataclass
-class _Tally:
+class _BakeTally:
     """Figures gathered while baking."""
 
     written: int = 0
@@ -202,7 +202,7 @@ def _bake_frames(
     # Take up what was done to the points since the last change of frame.
     refresh(scene)
     previous = scene.frame_current, scene.frame_subframe
-    tally = _Tally()
+    tally = _BakeTally()
     cancelled = False
     with paused(), own_touch():
         try:
@@ -308,7 +308,7 @@ def _simulate(
     meta: Meta,
     known: dict[int, Frame],
     missing: list[int],
-    tally: _Tally,
+    tally: _BakeTally,
 ) -> Generator[BakeProgress, None, None]:
     """Run the solver from the nearest checkpoint to the end, and write what is missing."""
     scene = simulation.scene
@@ -350,7 +350,7 @@ def _simulate(
 
 
 def _write_frame(
-    simulation: Simulation, cache: Cache, meta: Meta, number: int, inputs: bytes, tally: _Tally
+    simulation: Simulation, cache: Cache, meta: Meta, number: int, inputs: bytes, tally: _BakeTally
 ) -> None:
     positions = simulation.positions()
     bad = int((~np.isfinite(positions).all(1)).sum())
@@ -363,17 +363,17 @@ def _write_frame(
     tally.written += 1
 
 
-def _note_diagnostics(simulation: Simulation, tally: _Tally) -> None:
+def _note_diagnostics(simulation: Simulation, tally: _BakeTally) -> None:
     assert simulation.solver is not None
     figures = simulation.solver.diagnostics()
     tally.volume_errors.append(figures.volume_error)
     tally.penetrations.append(figures.max_penetration)
-    # Edits have the solver built anew, which counts from 0 again.
+    # After edits the solver is built again and counts from 0.
     tally.overflow = max(tally.overflow, figures.overflow)
     tally.quarantined = max(tally.quarantined, figures.quarantined)
 
 
-def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:
+def _statistics(tally: _BakeTally, meta: Meta) -> dict[str, float]:
     if not tally.seconds:
         return dict(meta.statistics)
     return {
@@ -385,7 +385,7 @@ def _statistics(tally: _Tally, meta: Meta) -> dict[str, float]:
     }
 
 
-def _warnings(scene: bpy.types.Scene, tally: _Tally) -> tuple[str, ...]:
+def _warnings(scene: bpy.types.Scene, tally: _BakeTally) -> tuple[str, ...]:
     warnings = [
         f"{item.name!r} still plays the frames packed in the .blend; pack again, or unpack, to see "
         "this bake."

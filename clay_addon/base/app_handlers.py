@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions that Blender calls, each registered once, and having it draw its views anew."""
+"""Functions that Blender calls, each registered once, and redrawing its 3D views."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def remove_handlers(handlers: Handlers) -> None:
 
 
 def redraw_views() -> None:
-    """Have all 3D views, and the panels beside them, drawn anew."""
+    """Redraw all 3D views and the panels beside them."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONSTANT, LINEAR = 0, 1
-"""How a value goes on from a key to the next, as Blender numbers it."""
+"""How values are interpolated from one key to the next, as Blender numbers it."""
 
 
 @dataclass(frozen=True)

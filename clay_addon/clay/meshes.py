@@ -18,10 +18,10 @@ from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, 
 from ..base.units import from_meters, to_meters
 from ..core.surface.particle_grid import ParticleGrid
 
-PARTICLE_COUNT_LIMIT = 1_000_000
+MAX_PARTICLE_COUNT = 1_000_000
 """More particles than this in one object are taken for a slip of the hand."""
 
-PARTICLE_COUNT_LEAST = 8
+MIN_PARTICLE_COUNT = 8
 """Fewer particles than this cannot deform like clay."""
 
 
@@ -110,15 +110,15 @@ def check_particle_count(pieces: list[Piece], spacing: float, scene: bpy.types.S
     """
     volumes = [piece.volume for piece in pieces]
     total = sum(volumes)
-    if total / spacing**3 > PARTICLE_COUNT_LIMIT:
+    if total / spacing**3 > MAX_PARTICLE_COUNT:
         raise ClayError(
-            f"That would be {_about(total / spacing**3)} particles; {PARTICLE_COUNT_LIMIT:,} are "
+            f"That would be {_about(total / spacing**3)} particles; {MAX_PARTICLE_COUNT:,} are "
             f"the most. Use a spacing of at least "
-            f"{_length(_rounded(total / PARTICLE_COUNT_LIMIT, up=True), scene)}, or check the "
+            f"{_length(_rounded(total / MAX_PARTICLE_COUNT, up=True), scene)}, or check the "
             "size of the meshes."
         )
     for (name, _), volume in zip(pieces, volumes, strict=True):
-        if round(volume / spacing**3) < PARTICLE_COUNT_LEAST:
+        if round(volume / spacing**3) < MIN_PARTICLE_COUNT:
             raise ClayError(
                 f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
                 f"{round(volume / spacing**3)} particles. Use a spacing of at most "

@@ -91,7 +91,7 @@ class DeliveryResult:
 
 
 @dataclass
-class _Tally:
+class _DeliveryTally:
     """Figures gathered on the way."""
 
     seconds: list[float] = field(default_factory=list)
@@ -185,7 +185,7 @@ def _deliver_frames(
     clay = clay_objects(scene)
     if not clay:
         raise DeliveryError("There is no clay to deliver. Make clay first.")
-    tally = _Tally()
+    tally = _DeliveryTally()
     previous = scene.frame_current, scene.frame_subframe
     try:
         shown = ShownClay(scene, clay, cache_of(scene))
@@ -294,7 +294,7 @@ def _write_frames(
     first: int,
     last: int,
     points: bool,
-    tally: _Tally,
+    tally: _DeliveryTally,
 ) -> Generator[DeliveryProgress, None, dict[int, tuple[str, str]]]:
     """Write every shape once; gives the file and its object path from each frame on."""
     files: dict[tuple[tuple[object, ...], ...], str] = {}

@@ -36,7 +36,7 @@ AUTO = "auto"
 """The unit that programs take a file's numbers for: millimetres in STL and 3MF, else metres."""
 PRINTED = (".stl", ".3mf")
 """Formats of 3D printing, whose shapes are checked for it."""
-MINIMUM_WALL = 1.0
+MIN_WALL = 1.0
 """The thinnest wall that common printers make [mm]; resin bears half of it."""
 
 
@@ -124,7 +124,7 @@ def export_clay(
     objects: Sequence[bpy.types.Object] | None = None,
     unit: str = "m",
     base: float = 0.0,
-    wall: float = MINIMUM_WALL,
+    wall: float = MIN_WALL,
 ) -> dict[str, Any]:
     """Export clay as it is at the current frame.
 

@@ -9,7 +9,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..core.surface.exact import SurfaceError
-from .export import AUTO, MINIMUM_WALL, SUFFIXES, ExportError, export_clay
+from .export import AUTO, MIN_WALL, SUFFIXES, ExportError, export_clay
 
 
 class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
@@ -46,7 +46,7 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
     wall: bpy.props.FloatProperty(
         name="Thinnest Wall (mm)",
         description="Warn of thinner walls in STL and 3MF [mm]",
-        default=MINIMUM_WALL,
+        default=MIN_WALL,
         min=0.0,
         soft_max=5.0,
     )

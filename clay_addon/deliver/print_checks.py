@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from ..core.surface.exact import Surface, SurfaceError
 from .files import triangle_mesh
 
-LARGEST_RAY_COUNT = 50_000
+MAX_RAY_COUNT = 50_000
 """Walls are measured at so many vertices at most, evenly picked: one in two of a surface of 100,000
 particles, which still are less than a particle apart."""
-LARGEST_UNTANGLING = 15
+MAX_UNTANGLING = 15
 """Rounds of drawing back; what still crosses then would take the shape with it."""
 _OPPOSITE = 0.5
 """The least cosine between a ray and the normal where it leaves, for what it passed to be a wall.
@@ -52,7 +52,7 @@ def check_print(surface: Surface, *, wall: float) -> PrintReport:
     local = (surface.vertices - center) / size
     tree = _tree(local, surface.faces)
     crossings = len(_crossings(tree, local, surface.faces))
-    stride = -(-len(local) // LARGEST_RAY_COUNT)
+    stride = -(-len(local) // MAX_RAY_COUNT)
     picked = np.arange(0, len(local), stride)
     walls = np.array(list(_walls(tree, local[picked], surface.normals[picked])))
     area = _vertex_areas(local, surface.faces)[picked]
@@ -82,7 +82,7 @@ def untangle(surface: Surface) -> Surface:
     vertices, faces = (surface.vertices - center) / size, surface.faces
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     moved = False
-    for _ in range(LARGEST_UNTANGLING):
+    for _ in range(MAX_UNTANGLING):
         pairs = _crossings(_tree(vertices, faces), vertices, faces)
         if not len(pairs):
             break

@@ -17,7 +17,7 @@ from .material_presets import (
 )
 from .material_properties import property_declarations, write_material
 
-FASTEST_WHEEL = 400.0
+MAX_WHEEL_SPEED = 400.0
 """Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
 in the longest step of a live session."""
 
@@ -157,8 +157,8 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
             "driver work its pedal"
         ),
         default=0.0,
-        min=-FASTEST_WHEEL,
-        max=FASTEST_WHEEL,
+        min=-MAX_WHEEL_SPEED,
+        max=MAX_WHEEL_SPEED,
         soft_min=0.0,
         soft_max=200.0,
         update=_set_wheels,

@@ -146,7 +146,7 @@ class EditedClay:
             positions: Positions of the present particles [Blender units], shape [P, 3].
 
         Returns:
-            Whether particles came or went, so that the solver has to be built anew.
+            Whether particles came or went, so that the solver has to be built again.
         """
         self._positions[self.present] = positions
         changed = False

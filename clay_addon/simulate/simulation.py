@@ -342,9 +342,9 @@ class Simulation:
         assert self.solver is not None
         positions = (self.solver.positions() / self.scale).astype(np.float32)
         if self.edited.apply(after, until, positions):
-            self._build_anew()
+            self._rebuild()
 
-    def _build_anew(self) -> None:
+    def _rebuild(self) -> None:
         self.build(self.prepare(bpy.context.evaluated_depsgraph_get()), self._device)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
@@ -370,12 +370,12 @@ class Simulation:
                 changed = self.edited.restore(rest)
                 rest = {k: v for k, v in rest.items() if not k.startswith("scene_edit_")}
                 if changed:
-                    self._build_anew()
+                    self._rebuild()
             self.solver.restore(rest)
         except (KeyError, ValueError):
             if self.edited is not None:
                 self.edited.begin()
-                self._build_anew()
+                self._rebuild()
             raise
         for hand, bones in zip(self.hands, held, strict=True):
             hand.hold(bones)

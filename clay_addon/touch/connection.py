@@ -210,7 +210,7 @@ touch = TouchConnection()
 
 
 def _look() -> float | None:
-    """Ask for the status, and have the panels drawn anew."""
+    """Ask for the status, and redraw the panels."""
     if touch.client is None:
         return None
     touch.client.hello()

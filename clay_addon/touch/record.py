@@ -96,7 +96,7 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
     try:
         touch.feel(scene, frame)
     except TouchArrayError:
-        # The panel says so when it is connected anew.
+        # The panel says so at the next connection.
         touch.show(frame)
 
 

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.properties import FASTEST_WHEEL
+from ..model.properties import MAX_WHEEL_SPEED
 
 SPEED_PATH = "tactile_clay.wheel_speed"
 """Path of the speed [rpm] from its object."""
@@ -103,4 +103,4 @@ def turns_between(speeds: NDArray[np.float64], frame_duration: float) -> NDArray
 
 def limited(speeds: NDArray[np.float64]) -> NDArray[np.float64]:
     """Speeds as the property takes them [rpm]."""
-    return np.clip(np.nan_to_num(speeds), -FASTEST_WHEEL, FASTEST_WHEEL)
+    return np.clip(np.nan_to_num(speeds), -MAX_WHEEL_SPEED, MAX_WHEEL_SPEED)

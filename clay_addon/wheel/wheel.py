@@ -29,7 +29,7 @@ CONSTRAINT_NAME = "Clay Wheel"
 _STAMP = "tactile_clay_wheel"
 """Key of what an axle's curve was made from."""
 _LINEAR = 1
-_MOST_TURN = math.radians(170.0)
+_MAX_TURN = math.radians(170.0)
 """Beyond half a turn a frame nobody could tell which way a wheel goes [rad]."""
 
 live_scenes: set[int] = set()
@@ -128,7 +128,7 @@ def check_speeds(scene: bpy.types.Scene) -> None:
             continue
         angles = np.array([curve.evaluate(frame) for frame in range(start, end + 1)])
         steps = np.abs(np.diff(angles))
-        if steps.max() > _MOST_TURN:
+        if steps.max() > _MAX_TURN:
             worst = int(steps.argmax())
             raise WheelError(
                 f"{item.name!r} turns by {math.degrees(steps[worst]):.0f} degrees from frame "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_MOST_VECTOR, _MOST_COMPLEX, _MOST_REAL = 4000, 60_000, 250_000
+_MAX_VECTOR, _MAX_COMPLEX, _MAX_REAL = 4000, 60_000, 250_000
 """Multiplications up to which OpenBLAS does a product of a matrix and a vector, of complex matrices
 and of real ones on one thread, as measured."""
 
@@ -19,8 +19,8 @@ def small_product(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
     The products of a frame are so small that threads gain nothing; but where other work keeps the
     cores busy, a product waits some 10 ms for a thread that is not running.
     """
-    matrix = _MOST_COMPLEX if np.iscomplexobj(second) else _MOST_REAL
-    most = _MOST_VECTOR if second.ndim == 1 else matrix
+    matrix = _MAX_COMPLEX if np.iscomplexobj(second) else _MAX_REAL
+    most = _MAX_VECTOR if second.ndim == 1 else matrix
     rows = max(1, most // max(1, second.size))
     if rows >= len(first):
         return first @ second

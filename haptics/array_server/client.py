@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...solver.core.errors import TactileClayError
 from ..protocol.datagram import (
-    MAXIMUM_FOCI,
-    MAXIMUM_SIZE,
+    MAX_FOCI,
+    MAX_SIZE,
     Datagram,
     DatagramError,
     Kind,
@@ -211,8 +211,8 @@ class ArrayClient:
         pressures = np.asarray(foci.pressures, np.float64).reshape(-1)
         good = np.isfinite(positions).all(axis=1) & np.isfinite(pressures) & (pressures > 0.0)
         positions, pressures = positions[good], pressures[good]
-        if len(pressures) > MAXIMUM_FOCI:
-            strongest = np.argsort(-pressures)[:MAXIMUM_FOCI]
+        if len(pressures) > MAX_FOCI:
+            strongest = np.argsort(-pressures)[:MAX_FOCI]
             positions, pressures = positions[strongest], pressures[strongest]
         self._send(
             Kind.FOCI,
@@ -303,7 +303,7 @@ class ArrayClient:
         found = False
         while True:
             try:
-                data, address = self._socket.recvfrom(MAXIMUM_SIZE)
+                data, address = self._socket.recvfrom(MAX_SIZE)
             except (BlockingIOError, ConnectionError):
                 left = end - time.monotonic()
                 if found or left <= 0.0:

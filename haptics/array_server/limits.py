@@ -2,7 +2,7 @@
 """What no message can lift: which focal points are let through, how loud and for how long.
 
 Guidelines on airborne ultrasound (75 dB below 20 kHz, 110 dB at 25 to 50 kHz) lack a solid basis,
-and devices in trade were measured above them (10.24425/aoa.2024.148795). So pressure, drive and
+and commercial devices were measured above them (10.24425/aoa.2024.148795). So pressure, drive and
 time are capped whatever is asked for. These caps are engineering choices, not a medical clearance.
 """
 

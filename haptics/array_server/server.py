@@ -16,17 +16,17 @@ import numpy as np
 
 from ..acoustics.drive import solve_drive
 from ..devices import Device, DeviceError, Emission
-from ..protocol.datagram import MAXIMUM_SIZE, Datagram, Kind, Modulation, encode
+from ..protocol.datagram import MAX_SIZE, Datagram, Kind, Modulation, encode
 from .guard import Guard
 from .limits import STALE_AFTER, Gate, Limits, OnTime, RefusedError, cap_drive
 
-_LONGEST_WAIT = 0.05
+_MAX_WAIT = 0.05
 """The loop looks around at least this often [s]."""
 _STATUS_EVERY = 0.1
 _RECONNECT_EVERY = 0.25
 _FAULT_SHOWN = 1.0
 """What was wrong and is no longer is still told for this long [s]."""
-_MOST_AT_ONCE = 1000
+_MAX_AT_ONCE = 1000
 """Datagrams read in one go: a flood must not keep the loop from its other duties."""
 
 
@@ -111,7 +111,7 @@ class ArrayServer:
         finally:
             self.close()
 
-    def step(self, longest: float = _LONGEST_WAIT) -> None:
+    def step(self, longest: float = _MAX_WAIT) -> None:
         """Wait for a datagram or for something that is due, and do what there is to do.
 
         Args:
@@ -180,9 +180,9 @@ class ArrayServer:
         return now
 
     def _receive(self, now: float) -> None:
-        for _ in range(_MOST_AT_ONCE):
+        for _ in range(_MAX_AT_ONCE):
             try:
-                data, address = self._socket.recvfrom(MAXIMUM_SIZE + 1)
+                data, address = self._socket.recvfrom(MAX_SIZE + 1)
             except BlockingIOError:
                 return
             except OSError:
@@ -218,7 +218,7 @@ class ArrayServer:
             self.fault = str(error)
             self.device.close(now)
             return
-        # Opening may take a while: what came in before is judged anew.
+        # Opening may take a while: what arrived before is judged again.
         self.connected, self.emitting = True, False
         self._service_at = self._status_at = now
 

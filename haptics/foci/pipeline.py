@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the contact forces of a frame to its focal points, with what the next frame goes on from."""
+"""From the contact forces of a frame to its focal points, and the state the next frame needs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class TouchPipeline:
                 and forces [N], see `PressureField.from_contacts`.
             array: The array, placed in the world.
             weights: Perceptual weights of each hand's ghosts; 1 where not given.
-            dt: Time since the frame before [s]; None for a frame that goes on from nothing.
+            dt: Time since the frame before [s]; None for a frame without a predecessor.
             gain: Focal over contact pressure for light contact.
             ceiling: Greatest focal pressure [Pa].
             count: Most focal points.
@@ -76,7 +76,7 @@ class TouchPipeline:
         for index, contact in enumerate(contacts):
             last = self._fields[index] if dt is not None and index < len(self._fields) else None
             if last is not None and len(last.state) != len(contact.areas):
-                # A hand that was bound anew has other ghosts.
+                # A hand that was bound again has other ghosts.
                 last = None
             fields.append(
                 PressureField.from_contacts(

@@ -60,7 +60,7 @@ class Route:
     gain: float
     """The time average over what is wanted: less than 1 where foci would have to be stronger."""
     stops: Real
-    """Stops in the order of the route, which the next frame goes on from [m], shape [N, 3]."""
+    """Stops in the order of the route, which the next frame starts from [m], shape [N, 3]."""
 
     @property
     def length(self) -> float:

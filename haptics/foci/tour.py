@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_MOST_STOPS = 96
+_MAX_STOPS = 96
 
 Real = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ def spread_stops(
                 chosen.append(int(nearest))
                 np.minimum(least, square, out=least)
     known = len(chosen)
-    while len(chosen) < _MOST_STOPS and (not chosen or float(least.max()) > reach * reach):
+    while len(chosen) < _MAX_STOPS and (not chosen or float(least.max()) > reach * reach):
         chosen.append(int(least.argmax()) if chosen else first)
         np.minimum(least, squares(rows[:, chosen[-1:]].T)[0], out=least)
     index = np.array(chosen)

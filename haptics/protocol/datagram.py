@@ -35,9 +35,9 @@ from ...solver.core.errors import TactileClayError
 
 MAGIC = b"TCFP"
 VERSION = 1
-MAXIMUM_FOCI = 64
+MAX_FOCI = 64
 """Most focal points in a datagram."""
-MAXIMUM_SIZE = 60_000
+MAX_SIZE = 60_000
 """Longest datagram [bytes]; the loopback device takes 65,507."""
 
 _HEAD = struct.Struct("<4sBBBBIIQQ")
@@ -139,8 +139,8 @@ def encode(
                 f"focal points need positions of shape [K, 3] and pressures of shape [K], "
                 f"not {points.shape} and {values.shape}"
             )
-        if len(points) > MAXIMUM_FOCI:
-            raise ValueError(f"{len(points)} focal points are more than {MAXIMUM_FOCI}")
+        if len(points) > MAX_FOCI:
+            raise ValueError(f"{len(points)} focal points are more than {MAX_FOCI}")
         rows = np.empty((len(points), 4), "<f4")
         rows[:, :3] = points
         rows[:, 3] = values
@@ -148,7 +148,7 @@ def encode(
     head = _HEAD.pack(
         MAGIC, VERSION, kind, modulation, 0, session, count, sequence, round(time * 1e9)
     )
-    if len(head) + len(body) + _CHECK.size > MAXIMUM_SIZE:
+    if len(head) + len(body) + _CHECK.size > MAX_SIZE:
         raise ValueError(f"a datagram of {len(body)} bytes is too long")
     return head + body + _CHECK.pack(zlib.crc32(head + body))
 
@@ -161,7 +161,7 @@ def decode(data: bytes) -> Datagram:
     """
     if len(data) < HEAD_SIZE + _CHECK.size:
         raise DatagramError("too short")
-    if len(data) > MAXIMUM_SIZE:
+    if len(data) > MAX_SIZE:
         raise DatagramError("too long")
     magic, version, number, way, reserved, session, count, sequence, nanoseconds = (
         _HEAD.unpack_from(data)
@@ -185,7 +185,7 @@ def decode(data: bytes) -> Datagram:
         if count or body:
             raise DatagramError("a body where there should be none")
         return start
-    if count > MAXIMUM_FOCI or len(body) != count * _POINT_SIZE:
+    if count > MAX_FOCI or len(body) != count * _POINT_SIZE:
         raise DatagramError("the count does not fit the length")
     rows = np.frombuffer(body, "<f4").reshape(count, 4).astype(np.float32)
     return Datagram(

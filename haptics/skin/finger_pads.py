@@ -23,7 +23,7 @@ _NAMES = {
 _RIGHT = re.compile(r"(^|[^a-z])(r|right)([^a-z]|$)|右|right")
 _LEFT = re.compile(r"(^|[^a-z])(l|left)([^a-z]|$)|左|left")
 
-_MOST_JOINTS = 7
+_MAX_JOINTS = 7
 """A finger of more joints than this is none that is known here."""
 _TIP_PART = 0.7
 """The last joint is a tip, inside the pad, if the skin ends within this part of the last bone."""
@@ -115,7 +115,7 @@ def _chains(rig: HandRig, heads: Real) -> dict[str, list[int]]:
         for bone in bones:
             if all(np.linalg.norm(heads[bone] - heads[other]) > 1e-4 for other in apart):
                 apart.append(bone)
-        if 2 <= len(apart) <= _MOST_JOINTS:
+        if 2 <= len(apart) <= _MAX_JOINTS:
             chains[finger] = _along_finger(heads, apart, root)
     return chains
 

@@ -91,7 +91,7 @@ class PressureField:
     dropped: int = 0
     """Ghosts left out for values that are not finite."""
     state: Real = field(default_factory=lambda: np.zeros(0))
-    """Smoothed contact pressure of all ghosts [Pa], shape [G], which the next frame goes on from;
+    """Smoothed contact pressure of all ghosts [Pa], shape [G], which the next frame starts from;
     empty for a joined field."""
     smoothing: GhostSmoothing | None = None
     """Neighbours among the ghosts, found with the first frame."""
@@ -150,7 +150,7 @@ class PressureField:
             if len(previous.state) != count:
                 raise ValueError(
                     f"The previous field is of {len(previous.state)} ghosts, the contacts are of "
-                    f"{count}: a hand that was bound anew starts without a previous field."
+                    f"{count}: a hand that was bound again starts without a previous field."
                 )
         fine = _finite_rows(positions, normals, areas[:, None], forces)
         dropped = int(count - np.count_nonzero(fine))
@@ -184,7 +184,7 @@ class PressureField:
             ghosts=shown,
             dropped=dropped,
             state=state,
-            # Neighbours found among ghosts of which some were missing are found anew.
+            # Neighbors found while some ghosts were missing must be found again.
             smoothing=None if dropped and previous is None else smoothing,
         )
 
@@ -192,7 +192,7 @@ class PressureField:
     def joined(cls, fields: Sequence[PressureField]) -> PressureField:
         """One field of several hands, for an array that serves them all.
 
-        It cannot be the previous of another: each hand goes on from its own.
+        It cannot be the previous of another: each hand continues from its own.
         """
         if not fields:
             nothing = np.zeros(0)

@@ -180,7 +180,7 @@ class Contacts:
         return moving + self._slept_force.numpy()[which]
 
     def _take_hold(self) -> None:
-        """Let hands that have just come take hold of the clay by and by."""
+        """Let hands that have just arrived take hold of the clay gradually."""
         assert self.meshes is not None
         grasp = np.ones(len(self.colliders))
         speed = np.full(len(self.colliders), DEPENETRATION_SPEED)

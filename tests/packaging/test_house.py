@@ -21,7 +21,11 @@ PRINTING = (
     "haptics/array_server/guard.py",
 )
 """Programs of their own, which speak to a terminal."""
-OLD_BOUNDS = re.compile(r"^_?(MOST|LEAST|FEWEST|LARGEST|SMALLEST|LONGEST|SHORTEST|FASTEST)_", re.M)
+OLD_BOUNDS = re.compile(
+    r"^\s*_?(MOST|LEAST|FEWEST|LARGEST|SMALLEST|LONGEST|SHORTEST|FASTEST|MAXIMUM|MINIMUM)_\w+"
+    r" *[:=,]",
+    re.MULTILINE,
+)
 
 
 def sources(repository: Path) -> Iterator[Path]:
@@ -106,3 +110,13 @@ def test_units_are_turned_in_one_place(repository: Path, pattern: str) -> None:
         if re.search(pattern, path.read_text("utf-8"))
     }
     assert found <= allowed
+
+
+def test_bounds_are_named_alike(repository: Path) -> None:
+    """Begin the names of bounds with MAX_ or MIN_."""
+    found = [
+        f"{path.relative_to(repository)}: {match[0].strip()}"
+        for path in sources(repository)
+        for match in OLD_BOUNDS.finditer(path.read_text("utf-8"))
+    ]
+    assert found == []

@@ -22,7 +22,7 @@ Track hands and send them to Blender.
 
 Start Tracking in Blender's Clay tab, then run one of the sources below in a terminal. It goes on
 until Ctrl-C. Hands go to loopback only, 864 bytes each; what the bytes are is told in
-clay_addon/core/tracking/protocol/packet.py, so that programs of one's own may send as well.
+clay_addon/core/tracking/protocol/packet.py, so that other programs can send too.
 """
 
 _OpenSource = Callable[[argparse.Namespace], Iterable[Sighting]]

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from tactile_clay.haptics.protocol.datagram import (
     HEAD_SIZE,
-    MAXIMUM_FOCI,
+    MAX_FOCI,
     DatagramError,
     Kind,
     Modulation,
@@ -22,7 +22,7 @@ from tactile_clay.haptics.protocol.datagram import (
 
 rows = hnp.arrays(
     np.float32,
-    st.tuples(st.integers(0, MAXIMUM_FOCI), st.just(4)),
+    st.tuples(st.integers(0, MAX_FOCI), st.just(4)),
     elements=st.floats(width=32, allow_nan=True, allow_infinity=True),
 )
 
@@ -117,7 +117,7 @@ def test_a_right_checksum_is_not_enough(head: tuple[int, ...], body: bytes) -> N
     except DatagramError:
         return
     assert len(read.positions) * 16 == len(body) or read.table is not None or not body
-    assert len(read.positions) == len(read.pressures) <= MAXIMUM_FOCI
+    assert len(read.positions) == len(read.pressures) <= MAX_FOCI
 
 
 def test_what_cannot_be_sent_is_named() -> None:

@@ -26,7 +26,7 @@ from ..protocol.packet import HandFrame
 
 _JOINT_KEYS = ("mcpPosition", "pipPosition", "dipPosition", "tipPosition")
 _GUESSED = sum(1 << joint for joint in (WRIST, *(finger[0] for finger in FINGERS[1:])))
-_LARGEST_FILE = 1 << 30
+_MAX_FILE_SIZE = 1 << 30
 
 
 class LeapHands:
@@ -91,7 +91,7 @@ def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
         data = path.read_bytes()
         if data[:2] == b"\x1f\x8b":
             with gzip.open(path) as file:
-                data = file.read(_LARGEST_FILE)
+                data = file.read(_MAX_FILE_SIZE)
         content = json.loads(data)
     except (OSError, EOFError, zlib.error) as error:
         raise TrackingError(f"{path} cannot be read ({error}).") from error

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Turns the trackers' Y-up space to Blender's Z-up one."""
-_LEAST_AGREEMENT, _LEAST_UPRIGHT = 0.8, 0.5
+_MIN_AGREEMENT, _MIN_UPRIGHT = 0.8, 0.5
 """A rig's axes are OpenXR's from these cosines on: of its bones with their -Z, and of its wrist's Y
 with the back of the hand."""
 
@@ -162,8 +162,8 @@ class HandTarget:
                     length = max(float(np.linalg.norm(bone)), 1e-9)
                     cosines.append(float(-axes[joint][:, 2] @ bone) / length)
         palm = self._palm_axes()
-        upright = palm is None or float(axes[WRIST][:, 1] @ palm[:, 1]) > _LEAST_UPRIGHT
-        return upright and bool(cosines) and float(np.mean(cosines)) >= _LEAST_AGREEMENT
+        upright = palm is None or float(axes[WRIST][:, 1] @ palm[:, 1]) > _MIN_UPRIGHT
+        return upright and bool(cosines) and float(np.mean(cosines)) >= _MIN_AGREEMENT
 
     def _palm_axes(self) -> Array | None:
         """Axes of the palm from how the knuckles lie about the wrist; None without knuckles."""

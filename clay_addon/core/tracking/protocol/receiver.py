@@ -20,7 +20,7 @@ from .joints import SIDES
 from .packet import PACKET_SIZE, PORT, HandFrame, PacketError, decode
 
 LOOPBACK = "127.0.0.1"
-_MOST_AT_ONCE = 1024
+_MAX_AT_ONCE = 1024
 """Datagrams looked at in one call: a flood must not hold Blender up."""
 _BUFFER = 1 << 20
 _RATE_WINDOW = 1_000_000_000
@@ -104,7 +104,7 @@ class Receiver:
             The frames that are news, in the order they are to be used in.
         """
         arrivals: list[Arrival] = []
-        for _ in range(_MOST_AT_ONCE):
+        for _ in range(_MAX_AT_ONCE):
             try:
                 # One byte more than a hand has, so that longer datagrams are told from hands.
                 data, sender = self._socket.recvfrom(PACKET_SIZE + 1)

@@ -20,7 +20,7 @@ from ..formats.leap import LeapHands
 from .sender import ClockMap, Sighting, sighting
 
 ADDRESS = "ws://127.0.0.1:6437/v6.json"
-_LARGEST_MESSAGE = 1 << 20
+_MAX_MESSAGE_SIZE = 1 << 20
 _SILENT_SECONDS = 2.0
 _WAIT_SECONDS = 1.0
 
@@ -42,7 +42,7 @@ def leap_service(
     while True:
         try:
             with client.connect(
-                address, max_size=_LARGEST_MESSAGE, open_timeout=5, compression=None
+                address, max_size=_MAX_MESSAGE_SIZE, open_timeout=5, compression=None
             ) as connection:
                 for wish in ({"enableGestures": False}, {"background": True}, {"focused": True}):
                     connection.send(json.dumps(wish))
