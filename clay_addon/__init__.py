@@ -12,6 +12,7 @@ _MODULES = (
     "base.preferences",
     "base.log",
     "base.activity",
+    "base.later",
     "model.properties",
     "clay.make_clay",
     "sculpt.live.surface",

@@ -12,6 +12,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.later import later
 from ..base.mesh_geometry import local_from_world, transform
 from ..base.signals import held_frames_changed
 from ..core.storage.cache import Cache, CacheDamagedError, CacheError, CacheMissingError, Meta
@@ -185,6 +186,10 @@ def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | No
 @persistent
 def _on_reload(*_: object) -> None:
     timeline.forget()
+    later.ask(_show_all)
+
+
+def _show_all() -> None:
     for scene in bpy.data.scenes:
         if clay_objects(scene):
             # Right after loading, and after Undo, the objects' world matrices are not there yet.

@@ -11,6 +11,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.later import later
 from ..base.units import from_meters, meters_per_unit
 from ..core.brush.adjust import Adjusted
 from ..core.tools.presets import ToolPreset, ToolPresetError
@@ -199,8 +200,8 @@ _held: dict[str, dict[str, Any]] = {}
 @persistent
 def _before_undo(*_: object) -> None:
     # Undo does not change the brush, as with Blender's own brushes.
-    _held.clear()
-    if current.session is not None:
+    # What was held before an undo that was not taken up yet still counts.
+    if current.session is not None and not _held:
         for scene in bpy.data.scenes:
             properties = scene.tactile_clay_sculpt
             _held[scene.name] = {name: _value(properties, name) for name in _KEPT}
@@ -208,6 +209,10 @@ def _before_undo(*_: object) -> None:
 
 @persistent
 def _after_undo(*_: object) -> None:
+    later.ask(_take_back_brush)
+
+
+def _take_back_brush() -> None:
     for scene_name, values in _held.items():
         scene = bpy.data.scenes.get(scene_name)
         if scene is not None:

@@ -21,6 +21,7 @@ from bpy.app.handlers import persistent
 from numpy.typing import NDArray
 
 from ...base.app_handlers import add_handlers, remove_handlers
+from ...base.later import later
 from ...model.clay_points import keep_sculpted, replace_points
 from ...model.clay_scene import clay_colors, clay_objects, read_points
 
@@ -165,6 +166,10 @@ def recover(context: bpy.types.Context, path: Path) -> list[str]:
 
 @persistent
 def _on_load(*_: object) -> None:
+    later.ask(_recover_beside_file)
+
+
+def _recover_beside_file() -> None:
     """Recover what a session that was cut short left beside the file that was opened."""
     recovery.message = ""
     path = autosave_path(bpy.data.filepath)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.activity import ActivityKind, clay_activity
+from ...base.later import later
 from ...core.session.frame_budget import FrameBudget
 from ...core.session.pace import STEP_SECONDS, Pace
 from ...core.session.solver_worker import Stepped
@@ -159,6 +160,8 @@ class SculptSession:
             raise SculptError(str(error)) from error
 
     def _tick(self, context: bpy.types.Context) -> bool:
+        # What Undo left to do about stand-ins and brushes comes before the clay itself.
+        later.run()
         scene = self._scene(context)
         stepped = self._solver.worker.take()
         if self._undone:

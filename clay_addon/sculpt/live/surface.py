@@ -16,6 +16,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...base.app_handlers import add_handlers, remove_handlers
+from ...base.later import later
 from ...base.surface_mesh import fill_surface_mesh
 from ...clay.look import MODIFIER_NAME
 from ...clay.look_material import clay_material
@@ -240,8 +241,7 @@ def _marked(scene: bpy.types.Scene | None) -> list[bpy.types.Object]:
     return [] if scene is None else [item for item in scene.objects if _MARK in item]
 
 
-@persistent
-def _on_reload(*_: object) -> None:
+def _reload() -> None:
     """Remove stand-ins that a file or an undo step holds, and show live surfaces again."""
     for live in list(_open):
         if live._scene() is None:
@@ -254,12 +254,21 @@ def _on_reload(*_: object) -> None:
             sweep(scene)
 
 
-@persistent
-def _on_load(*_: object) -> None:
+def _leave_file() -> None:
     # The session's scene went with its file, even if the new one has one of that name.
     for live in list(_open):
         live.close()
-    _on_reload()
+    _reload()
+
+
+@persistent
+def _on_reload(*_: object) -> None:
+    later.ask(_reload)
+
+
+@persistent
+def _on_load(*_: object) -> None:
+    later.ask(_leave_file)
 
 
 @persistent

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Handlers put off what Blender does not allow inside them."""
+
+import ast
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tactile_clay.clay_addon.base import later as module
+from tactile_clay.clay_addon.base.later import Later
+
+DEFERRED = ("undo_post", "redo_post", "undo_pre", "redo_pre", "load_post", "depsgraph_update_post")
+"""Handlers inside which nothing may be made, removed, hidden or shown."""
+
+
+@pytest.fixture
+def timers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Functions that wait for Blender's timer, in a Blender with an interface."""
+    waiting: list[Any] = []
+    fake = SimpleNamespace(
+        is_registered=lambda function: function in waiting,
+        register=lambda function, **_: waiting.append(function),
+        unregister=waiting.remove,
+    )
+    monkeypatch.setattr(
+        module, "bpy", SimpleNamespace(app=SimpleNamespace(background=False, timers=fake))
+    )
+    return waiting
+
+
+def test_work_waits_for_the_timer_and_is_done_once(timers: list[Any]) -> None:
+    """Do nothing at once, and each thing once in the order in which it was first asked for."""
+    queue = Later()
+    done: list[str] = []
+    first, second = (lambda: done.append("first")), (lambda: done.append("second"))
+    for work in (first, second, first):
+        queue.ask(work)
+    assert done == []
+    assert len(timers) == 1
+    queue.run()
+    queue.run()
+    assert done == ["first", "second"]
+
+
+def test_what_fails_is_logged_and_stops_nothing(
+    timers: list[Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Go on with the rest, and leave a traceback in the log."""
+    queue = Later()
+    done: list[str] = []
+    queue.ask(lambda: 1 / 0)
+    queue.ask(lambda: done.append("rest"))
+    queue.run()
+    assert done == ["rest"]
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_work_that_asks_for_more_is_followed(timers: list[Any]) -> None:
+    """Do what work itself asks for in the same turn."""
+    queue = Later()
+    done: list[str] = []
+    more = lambda: done.append("more")  # noqa: E731
+    queue.ask(lambda: queue.ask(more))
+    queue.run()
+    assert done == ["more"]
+
+
+def test_without_an_interface_work_is_done_at_once() -> None:
+    """Need no timer in the background."""
+    done: list[str] = []
+    Later().ask(lambda: done.append("now"))
+    assert done == ["now"]
+
+
+def test_handlers_of_undo_and_load_only_take_notes(repository: Path) -> None:
+    """Let what Blender calls during undo, redo, load and updates touch no data itself.
+
+    A handler may read, clear notes of its own and ask for more later.
+    """
+    forbidden = {
+        "remove",
+        "new",
+        "link",
+        "unlink",
+        "hide_set",
+        "select_set",
+        "update",
+        "foreach_set",
+    }
+    wrong = []
+    for path in sorted((repository / "clay_addon").rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        functions = {n.name: n for n in tree.body if isinstance(n, ast.FunctionDef)}
+        pairs = [
+            (pair.elts[0].value, pair.elts[1].id)
+            for pair in ast.walk(tree)
+            if isinstance(pair, ast.Tuple)
+            and len(pair.elts) == 2
+            and isinstance(pair.elts[0], ast.Constant)
+            and isinstance(pair.elts[1], ast.Name)
+        ]
+        for event, name in pairs:
+            if event not in DEFERRED or name not in functions:
+                continue
+            calls = [
+                node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
+                for node in ast.walk(functions[name])
+                if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name)
+            ]
+            if forbidden & set(calls) or "setattr" in calls:
+                wrong.append(f"{path.name}: {name} at {event}")
+    assert wrong == []
