@@ -104,6 +104,7 @@ class Solver:
         self._substeps = 0
         self._duration = BASE_STEP
         self._teleported = 0
+        self._begun = False
         initial = np.linalg.norm(scene.initial_velocities(), axis=1)
         self._speed_before = float(np.max(initial, initial=0.0))
         self._time_step_before = 0.0
@@ -114,6 +115,15 @@ class Solver:
         self._model: ClayModel = model(scene, self._particles, self._contacts, self.settings)
         sleeping = self.settings.sleeping and self._model.can_sleep
         self._regions = Regions(self._particles, sleeping=sleeping)
+
+    def begin(self) -> None:
+        """Take colliders and hands to begin where they were when the solver was made.
+
+        Without this call they begin where they are at the first step, and what was set before is
+        not motion. Call it right after making the solver where the next poses are those at the end
+        of the first step, as in a bake.
+        """
+        self._begun = True
 
     def step(self, duration: float = BASE_STEP) -> None:
         """Advance by ``duration`` [s]; colliders reach the poses that were last set.
@@ -151,6 +161,7 @@ class Solver:
         self.time += duration
         self._duration = duration
         self._substeps = substeps
+        self._begun = True
 
     def _wake(self, boxes: list[NDArray[np.float64]]) -> None:
         """Wake clay that is disturbed by other clay or by colliders sweeping ``boxes`` [m]."""
@@ -214,6 +225,8 @@ class Solver:
         meshes = self._contacts.meshes
         assert meshes is not None
         stride = COLLIDER_STRIDE * self.scene.spacing
+        if not self._begun:
+            meshes.begin_here()
         motions, boxes = meshes.farthest_motion(stride * shortest)
         # The motion of the clay towards a collider is bounded by its substeps.
         reach = (2.0 + substeps) * self.scene.spacing
@@ -397,6 +410,7 @@ class Solver:
         self._contacts.time_step = self._time_step_before
         self._substeps = int(snapshot["substeps"])
         self._teleported = int(snapshot["teleported"])
+        self._begun = True
         self._particles.restore(snapshot)
         self._regions.restore(snapshot)
         self._model.restore(snapshot)
@@ -417,7 +431,10 @@ class Solver:
                 if name not in snapshot:
                     raise ValueError(f"The snapshot has no {name}: it is of another solver.")
                 state[name] = snapshot[name]
+        begun = self._begun
         self.restore(state)
+        # Colliders and hands are still where they were, if they have begun at all.
+        self._begun = begun
 
 
 def _bytes_held(part: object, seen: set[int]) -> int:

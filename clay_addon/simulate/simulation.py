@@ -262,6 +262,8 @@ class Simulation:
         self._device = device
         try:
             self.solver = Solver(scene, self.settings, device=device)
+            # The next poses are those of the next moment: what lies between is motion.
+            self.solver.begin()
         except (ValueError, RuntimeError) as error:
             raise SimulationError(_REFUSED.format(error)) from error
 

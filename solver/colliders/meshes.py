@@ -129,6 +129,22 @@ class MeshColliders:
         mirrored = [m.shape.orientation for m in self.moving] + [1.0] * len(self.hands)
         self.orientation.assign(np.array(mirrored, np.float32))
 
+    def begin_here(self) -> None:
+        """Take the poses and shapes of now for where meshes and hands have been all along.
+
+        Whoever makes a solver and then sets where a tool is means that it begins there.
+        """
+        for moving in self.moving:
+            before = moving.shape
+            moving.shape = shape_of(moving.collider, before)
+            moving.enabled = moving.collider.enabled
+            same = moving.shape.vertices is before.vertices
+            if not same or moving.shape.orientation != before.orientation:
+                moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
+        for hand in self.hands:
+            hand.begin_here()
+        self._tell_meshes()
+
     def farthest_motion(self, ignored: float) -> tuple[list[float], list[NDArray[np.float64]]]:
         """How far any vertex of each collider is going to move in this step, and where.
 

@@ -108,6 +108,13 @@ class SoftHand:
         self.present = hand.tracked
         self._place()
 
+    def begin_here(self) -> None:
+        """Take the bones' present poses for where the hand has been all along."""
+        self.present = self.hand.tracked
+        if self.present and not np.array_equal(self.path.start, self.hand.bones):
+            self.path.start = self.hand.bones.copy()
+            self._place()
+
     def _place(self) -> None:
         """Put the hand at the start of its path at once."""
         self.path.aim(self.path.start)

@@ -197,3 +197,47 @@ def test_colors_come_back_in_order():
     assert colors.shape == (128, 4)
     assert colors[0].tolist() == [1, 0, 0, 1]
     assert colors[-1].tolist() == [0, 0, 1, 1]
+
+
+@pytest.mark.parametrize("distance", [0.02, 0.1, 1.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_pose_set_before_the_first_step_is_where_a_tool_begins(distance: float, turned: bool):
+    """Blast nothing that lies between the identity and where a tool is set; call it no jump."""
+    scene = Scene(0.005)
+    scene.add_clay(block(6, 0.005), Material())
+    scene.add_plane()
+    sphere = ball(0.01)
+    tool = scene.add_mesh(sphere.vertices, sphere.faces)
+    tool.set_pose(at(-distance, 0, 0.015))
+    solver = Solver(scene)
+    before = solver.positions()
+    pose = at(distance, 0, 0.015)
+    if turned:
+        pose = pose @ np.diag((1.0, -1.0, -1.0, 1.0))
+    if distance < 0.03:
+        pose[2, 3] = 0.05
+    tool.set_pose(pose)
+    for _ in range(5):
+        solver.step(1 / 60)
+    assert np.abs(solver.positions() - before).max() < 0.1 * 0.005
+    assert not solver.force_on(tool).any()
+    assert solver.diagnostics().teleported == 0
+
+
+def test_begin_makes_what_is_set_next_a_motion():
+    """Sweep from where a tool was when the solver was made, after `begin`."""
+    forces = []
+    for begins in (False, True):
+        scene = Scene(0.005)
+        scene.add_clay(block(6, 0.005), Material())
+        scene.add_plane()
+        sphere = ball(0.01)
+        tool = scene.add_mesh(sphere.vertices, sphere.faces)
+        tool.set_pose(at(0, 0, 0.0405))
+        solver = Solver(scene)
+        if begins:
+            solver.begin()
+        tool.set_pose(at(0, 0, 0.0385))
+        solver.step(1 / 60)
+        forces.append(solver.diagnostics().max_speed)
+    assert forces[1] > 2.0 * forces[0]

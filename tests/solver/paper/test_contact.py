@@ -102,6 +102,7 @@ def test_moving_and_deforming_tool_takes_a_grain_along():
     """Lift a grain with a pose and then with new vertices, by friction and by impenetrability."""
     box = trimesh.creation.box((0.04, 0.04, 0.02), transform=at(0, 0, -0.01))
     solver, tool = grains_on(box, np.array([[0.001, 0.002, RADIUS]]))
+    solver.begin()
     for step in range(1, 25):
         tool.set_pose(at(0.001 * step, 0, 0.002 * step))
         solver.step(1 / 60)
