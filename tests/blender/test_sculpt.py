@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Sculpting live in a real Blender's window, with mouse and keys as a person uses them."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,79 @@ def steps():
         key("Z", ctrl=True)
         yield lambda: clay().data.get("clay_state") != state
     assert clay().data.get("clay_state") is None, "an undo step too many"
+    # What Undo leaves to do waits for a timer.
+    yield lambda: abs(top() - before) < 1e-5
     print("BACK", abs(top() - before) < 1e-5, flush=True)
+
+run(steps())
+"""
+STRESS = """
+import random
+
+def steps():
+    chance = random.Random(int(ARGUMENTS[1]))
+    make_block(size=0.05, spacing=0.008)
+    yield 0.5
+    start()
+    yield moves
+    done = {}
+    for _ in range(int(ARGUMENTS[2])):
+        kind = chance.choice(
+            ["stroke"] * 5 + ["undo"] * 4 + ["redo"] * 2
+            + ["turn", "rename", "save", "mode", "move"]
+        )
+        done[kind] = done.get(kind, 0) + 1
+        print("STEP", kind, flush=True)
+        if sculpting.session is None:
+            start()
+            yield moves
+        if kind == "stroke":
+            move(on_screen((chance.uniform(-0.015, 0.015), chance.uniform(-0.015, 0.015), 0.05)))
+            yield after(0.05)
+            event("LEFTMOUSE")
+            yield after(chance.uniform(0.1, 0.3))
+            event("LEFTMOUSE", "RELEASE")
+        elif kind == "undo":
+            for _ in range(chance.randint(1, 4)):
+                key("Z", ctrl=True)
+                yield chance.choice((0.02, 0.3))
+        elif kind == "redo":
+            for _ in range(chance.randint(1, 3)):
+                key("Z", ctrl=True, shift=True)
+                yield chance.choice((0.02, 0.3))
+        elif kind == "turn":
+            key(chance.choice(("NUMPAD_4", "NUMPAD_6", "NUMPAD_7")))
+        elif kind == "rename":
+            with in_view():
+                item = bpy.context.scene.objects.get("Plane")
+                if item is not None:
+                    item.data.name = chance.choice(("one", "two"))
+                    bpy.ops.ed.undo_push(message="Rename")
+        elif kind == "save":
+            bpy.ops.wm.save_as_mainfile(filepath=ARGUMENTS[0])
+        elif kind == "mode":
+            key("ESC")
+            yield lambda: sculpting.session is None
+            with in_view():
+                item = bpy.context.scene.objects.get("Plane")
+                if item is not None:
+                    bpy.context.view_layer.objects.active = item
+                    bpy.ops.object.mode_set(mode="EDIT")
+                    bpy.ops.object.mode_set(mode="OBJECT")
+        elif kind == "move":
+            move(on_screen((chance.uniform(-0.05, 0.05), chance.uniform(-0.05, 0.05), 0.0)))
+        yield chance.choice((0.05, 0.4))
+        # Undo far enough takes the block itself away, and with it the session.
+        if "Clay" not in bpy.data.objects:
+            print("GONE", flush=True)
+            if sculpting.session is not None:
+                key("ESC")
+                yield lambda: sculpting.session is None
+            make_block(size=0.05, spacing=0.008)
+            yield 0.3
+    assert np.isfinite(points()).all()
+    print("DONE", done, flush=True)
+    print("SURVIVED", ARGUMENTS[2], flush=True)
 
 run(steps())
 """
@@ -318,7 +391,7 @@ run(steps())
 def window(blender_with_extension: Any) -> Any:
     """A real Blender whose scripts may use the steps of a person."""
 
-    def run(script: str, *arguments: Path) -> Any:
+    def run(script: str, *arguments: Path | str) -> Any:
         return blender_with_extension.run_script(
             STEPS + COMMON + script, *arguments, window=True, timeout=600.0
         )
@@ -338,6 +411,22 @@ def test_strokes_are_undone_redone_saved_and_taken_back(
         assert line in result.output, result.output
     assert picture.stat().st_size > 20_000
     assert not list(folder.glob("*autosave*"))
+
+
+@pytest.mark.parametrize("seed", range(int(os.environ.get("UNDO_SEEDS", "1"))))
+def test_any_order_of_strokes_undos_and_redos_is_survived(
+    window: Any, blender_with_extension: Any, seed: int
+) -> None:
+    """Stroke, undo, redo, turn the view, rename, save and switch modes in random order.
+
+    ``UNDO_SEEDS`` says how many orders to try, ``UNDO_STEPS`` how long each is.
+    """
+    file = blender_with_extension.folder / f"stress_{seed}.blend"
+    steps = os.environ.get("UNDO_STEPS", "20")
+    result = window(STRESS, file, str(seed), steps)
+    assert result.exit_code == 0, result.output
+    assert f"SURVIVED {steps}" in result.output, result.output
+    assert "Traceback" not in result.output, result.output
 
 
 def test_clay_of_a_session_that_was_killed_is_there_again(

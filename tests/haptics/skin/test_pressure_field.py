@@ -191,7 +191,7 @@ def test_two_hands_make_one_field():
         ({"gain": 0.0}, "gain"),
         ({"ceiling": np.inf}, "ceiling"),
         ({"previous": 1}, "dt"),
-        ({"previous": 2, "dt": 0.01}, "bound anew"),
+        ({"previous": 2, "dt": 0.01}, "bound again"),
     ],
 )
 def test_bad_input_is_refused(options, message):
