@@ -92,6 +92,7 @@ def press_ball(
         top = counts[2] * SPACING + RADIUS
         tool.set_pose(at(0, 0, top + 0.1))
         solver = Solver(scene, settings, device=device)
+        solver.begin()
         rest(solver, warm_up)
         tool.set_pose(at(0, 0, top))
         solver.step(FRAME)
@@ -146,6 +147,7 @@ def poke(
         top = counts[2] * SPACING + RADIUS
         tool.set_pose(at(0, 0, top + 0.1))
         solver = Solver(scene, settings, device=device)
+        solver.begin()
         rest(solver, warm_up)
         tool.set_pose(at(0, 0, top))
         solver.step(FRAME)
@@ -202,6 +204,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
     height = 3.0 * SPACING
     tool.set_pose(at(reach + 0.1, 0, height))
     solver = Solver(scene, settings, device=device)
+    solver.begin()
     turned = 0
 
     def turn() -> None:

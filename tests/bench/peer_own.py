@@ -33,6 +33,7 @@ def run(scene: dict[str, np.ndarray], settings: Settings) -> dict[str, Any]:
     tool = own.add_mesh(sphere.vertices, sphere.faces, friction=float(scene["friction"]))
     tool.set_pose(at(0.0, 0.0, float(scene["heights"][0])))
     solver = Solver(own, settings)
+    solver.begin()
     positions, forces, cores, walls = [], [], [], []
     for number, height in enumerate(scene["heights"]):
         tool.set_pose(at(0.0, 0.0, float(height)))

@@ -65,6 +65,7 @@ def compress_cylinder(
     lid = scene.add_mesh(box.vertices, box.faces, friction=friction)
     lid.set_pose(at(0, 0, height + 0.01))
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(6):
         solver.step(1 / 60)
     place, forces = height, []

@@ -110,6 +110,7 @@ def couette(
     begin = -0.25 * strain * height
     place(begin, 0.0)
     solver = Solver(scene, settings)
+    solver.begin()
     settle = 10
     for step in range(settle):
         place(begin, squeeze * spacing * (step + 1) / settle)

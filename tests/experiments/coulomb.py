@@ -57,6 +57,7 @@ def drag(
     height = counts[2] * spacing * 1.1
     paddle.set_pose(at(behind - spacing, 0, height))
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(12):
         solver.step(1 / 60)
     place, tables, paddles = behind - spacing, [], []
@@ -114,6 +115,7 @@ def stop(
     scene.add_clay(points, material, velocities=(speed, 0, 0))
     scene.add_plane(friction=friction)
     solver = Solver(scene, settings)
+    solver.begin()
     solver.step(1 / 60)
     begin = solver.positions().astype(np.float64)
     # Velocities are those of the middle of a substep (leapfrog).
@@ -157,6 +159,7 @@ def creep(
     scene.add_clay(block(counts, spacing), material)
     scene.add_plane(friction=friction)
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(round(settle * 60)):
         solver.step(1 / 60)
     begin = solver.positions()[:, 0].astype(np.float64)

@@ -81,6 +81,7 @@ def cut(
     lifted = 1.2 * size[2]
     blade.set_pose(at(0, 0, lifted))
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(6):
         solver.step(1 / 60)
     while away > closed:

@@ -88,6 +88,7 @@ def measure_cost(
     hand = scene.add_hand(rig, hold_stiffness=hold_stiffness)
     hand.set_bones(posed(rig, pose))
     solver = Solver(scene)
+    solver.begin()
     (soft,) = solver._hands
     meter = _Meter(soft)
     hands, whole = [], []

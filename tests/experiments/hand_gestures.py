@@ -62,6 +62,7 @@ def pinch(
     low = 4 * SPACING + 0.002
     put(0.007, low)
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(8):
         solver.step(1 / 60)
     for apart in np.linspace(0.007, 0.0015, 24):
@@ -123,6 +124,7 @@ def dent(
     hand = scene.add_hand(rig)
     hand.set_bones(posed(rig, at(0, 0, top + 0.001)))
     solver = Solver(scene, settings)
+    solver.begin()
     before = solver.positions()
     for height in np.concatenate(
         [np.linspace(top + 0.001, top - depth, 24), np.full(8, top - depth)]

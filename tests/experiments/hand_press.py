@@ -114,6 +114,7 @@ def press_clay(
     hand = scene.add_hand(rig, young_modulus=young_modulus, hold_stiffness=hold_stiffness)
     hand.set_bones(posed(rig, at(0, 0, top + 0.001)))
     solver = Solver(scene, settings)
+    solver.begin()
     height = top + 0.001
     forces: list[float] = []
     moving = 0

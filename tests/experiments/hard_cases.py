@@ -37,6 +37,7 @@ def falls_freely() -> HardCase:
     scene.add_clay(np.concatenate([block(3, SPACING), [(0.1, 0, 1.0)]]), Material())
     scene.add_plane()
     solver = Solver(scene)
+    solver.begin()
     for _ in range(24):
         solver.step(1 / 60)
     fallen = 1.0 - float(solver.positions()[-1, 2])
@@ -130,6 +131,7 @@ def hundred_g() -> HardCase:
 def particle_not_finite() -> HardCase:
     """Make velocities NaN in the running state: those particles are held and counted."""
     solver = Solver(on_table(block(5, SPACING)))
+    solver.begin()
     solver.step(1 / 60)
     state = solver.snapshot()
     state["velocity"][[3, 60]] = np.nan
@@ -211,6 +213,7 @@ def scaled(scale: float) -> HardCase:
         scene.add_clay(cylinder(5 * SPACING, 10 * SPACING, SPACING) * s, material)
         scene.add_plane(friction=1.0)
         solver = Solver(scene)
+        solver.begin()
         fastest, finite = 0.0, True
         for _ in range(45):
             solver.step(1 / 60)
@@ -235,6 +238,7 @@ def idle(steps: int = 3000) -> HardCase:
         steps: How many; a million where sleeping clay costs nothing.
     """
     solver = Solver(on_table(block(3, SPACING)))
+    solver.begin()
     for _ in range(60):
         solver.step(1 / 60)
     begin, early = solver.positions().astype(np.float64), solver.diagnostics().max_speed

@@ -55,6 +55,7 @@ def merge(
     lid.set_pose(at(0, 0, lid_height))
     place_plates(0.01, middle)
     solver = Solver(scene, settings)
+    solver.begin()
 
     def heights() -> tuple[float, float]:
         z = solver.positions()[:, 2]

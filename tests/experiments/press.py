@@ -59,6 +59,7 @@ def press(
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
     tool.set_pose(at(0, 0, 1.0))
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(12):
         solver.step(1 / 60)
     rest = solver.positions()

@@ -83,6 +83,7 @@ def pull(
     gap = 0.2 * spacing
     place(gap, 0.0)
     solver = Solver(scene, settings)
+    solver.begin()
     grip = -0.06 * thickness
     while gap > grip:
         gap = max(gap - 0.06 / 60, grip)

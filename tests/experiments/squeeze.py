@@ -83,6 +83,7 @@ def squeeze(
     for axis in range(3):
         place(axis, -1.0, 1.0)
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(10):
         solver.step(1 / 60)
     before = solver.diagnostics().volume_error

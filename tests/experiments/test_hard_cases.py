@@ -63,6 +63,7 @@ def test_a_tool_without_thickness_is_refused_in_words():
 def test_a_sheet_one_particle_thick_falls_flat():
     """Drop a sheet one particle thick: it lies flat on the table."""
     solver = Solver(on_table(block((8, 8, 1), SPACING, (0, 0, 0.02))))
+    solver.begin()
     for _ in range(60):
         solver.step(1 / 60)
     assert np.ptp(solver.positions()[:, 2]) < 0.1 * SPACING
@@ -71,6 +72,7 @@ def test_a_sheet_one_particle_thick_falls_flat():
 def test_an_impact_flattens_and_stays_above_the_table():
     """Flatten a block at 20 m/s, all of it on its side of the table."""
     solver = Solver(on_table(block(6, SPACING, (0, 0, 0.03)), velocities=(0, 0, -20.0)))
+    solver.begin()
     for _ in range(60):
         solver.step(1 / 60)
     heights = solver.positions()[:, 2]
@@ -85,6 +87,7 @@ def test_a_ball_at_two_metres_a_second_passes_through_nothing():
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
     tool.set_pose(at(-0.06, 0, 0.015))
     solver = Solver(scene)
+    solver.begin()
     for frame in range(12):
         x = -0.06 + 2.0 * (frame + 1) / 60 if frame < 4 else -0.06 + 2.0 * 4 / 60
         tool.set_pose(at(x, 0, 0.015))

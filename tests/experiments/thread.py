@@ -71,6 +71,7 @@ def hang(
     tray = scene.add_mesh(tray_box.vertices, tray_box.faces, friction=0.0)
     tray.set_pose(at(0, 0, -0.01))
     solver = Solver(scene, settings)
+    solver.begin()
     order = np.argsort(np.concatenate([np.flatnonzero(~held), np.flatnonzero(held)]))
     end = points[:, 2] < 1.0 * spacing
 

@@ -80,6 +80,7 @@ def _press(hand: Hand, name: str, depth: float, spacing: float) -> HandPress:
     scene.add_plane((0.0, 0.0, floor), (0.0, 0.0, 1.0))
     pressing = scene.add_hand(rig)
     solver = Solver(scene)
+    solver.begin()
     for _ in range(6):
         solver.step(FRAME)
     for step in range(round((depth + 0.5 * spacing) / (SPEED * FRAME))):

@@ -61,6 +61,7 @@ def turn_wheel(
     disc = trimesh.creation.cylinder(0.1, 0.02, sections=48)
     face = scene.add_mesh(disc.vertices + np.array((0, 0, -0.01)), disc.faces, friction=friction)
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(10):
         solver.step(1 / 60)
     rest = solver.positions().astype(np.float64)
@@ -132,6 +133,7 @@ def turn_lump(
     disc = trimesh.creation.cylinder(wheel_radius, 0.02, sections=96)
     face = scene.add_mesh(disc.vertices + np.array((0, 0, -0.01)), disc.faces, friction=2.5)
     solver = Solver(scene, Settings(sleeping=False))
+    solver.begin()
     steps = math.ceil(turns * 2 * math.pi / rate / step)
     seen = []
     for number in range(steps):
@@ -189,6 +191,7 @@ def hang(adhesion: float, *, spacing: float = 0.005, layers: int = 4) -> float:
         box.vertices - np.array((0, 0, 0.01)), box.faces, friction=2.0, adhesion=adhesion
     )
     solver = Solver(scene)
+    solver.begin()
     for _ in range(10):
         solver.step(1 / 60)
     for number in range(90):
@@ -252,6 +255,7 @@ def spin_disc(
     clay = replace(material, yield_stress=stress)
     scene.add_clay(points, clay, velocities=velocities)
     solver = Solver(scene, settings)
+    solver.begin()
     for _ in range(round(duration * 60)):
         solver.step(1 / 60)
     after = solver.positions().astype(np.float64)
