@@ -18,6 +18,7 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
+from ..core.storage.whole_files import replace_text
 from .preferences import ADDON, ADDON_VERSION, device_choice
 
 MAX_BYTES = 1_000_000
@@ -109,7 +110,7 @@ class CLAY_OT_log_save(bpy.types.Operator, ExportHelper):  # noqa: N801
         """Write the file."""
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            path.write_text(f"{computer()}\n\n{log_file.text()}", encoding="utf-8")
+            replace_text(path, f"{computer()}\n\n{log_file.text()}")
         except OSError as error:
             self.report({"ERROR"}, f"The log could not be saved: {error}")
             return {"CANCELLED"}

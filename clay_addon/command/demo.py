@@ -22,6 +22,7 @@ import bpy
 import numpy as np
 
 from ...solver.core.errors import TactileClayError
+from ..core.storage.whole_files import replace_text
 from .demo_progress import DemoProgress, chatter_into
 from .demo_scenes import DEFAULT, SCENES, DemoScene
 
@@ -199,7 +200,7 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
         "total_seconds": _rounded(time.perf_counter() - began, 1),
     }
     path = options.output / "report.json"
-    path.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    replace_text(path, json.dumps(report, indent=2) + "\n")
     files.append(path)
     progress.end()
     return [

@@ -11,7 +11,6 @@ import json
 import math
 import os
 import re
-import tempfile
 import time
 import tomllib
 import unicodedata
@@ -24,6 +23,7 @@ import bpy
 from ...solver.core.errors import TactileClayError
 from ...solver.scene.material import MATERIAL_FIELDS, Material
 from ..base.preferences import ADDON
+from ..core.storage.whole_files import replace_text
 
 RESERVED_NAMES = ("CUSTOM", "SCENE")
 """Names that the interface uses for something else."""
@@ -206,7 +206,7 @@ def save_user_material(label: str, material: Material, *, replace: bool = False)
     text = f"label = {json.dumps(label, ensure_ascii=False)}\n\n{material.to_toml()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write_whole(path, text)
+        replace_text(path, text)
     except OSError as error:
         raise UserMaterialError(f"{path} cannot be written: {error.strerror}.") from error
     forget_user_materials()
@@ -221,17 +221,6 @@ def _file_name(label: str) -> str:
     if name == "" or len(plain.strip()) < len(label) / 2:
         name = f"{name}_{zlib.crc32(label.encode()):08x}".strip("_")
     return f"{name}_" if _DEVICE_NAMES.match(name) else name
-
-
-def _write_whole(path: Path, text: str) -> None:
-    handle, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def remove_user_material(name: str) -> None:

@@ -141,6 +141,20 @@ def replace_file(
             temporary.unlink(missing_ok=True)
 
 
+def replace_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all; see `replace_file`.
+
+    Args:
+        path: The file.
+        text: What it holds, written as UTF-8.
+
+    Raises:
+        OSError: It cannot be written. A file that was there is as it was.
+    """
+    content = text.encode("utf-8")
+    replace_file(path, path.with_name(f".{path.name}.part"), lambda file: file.write(content))
+
+
 def _sync_folder(folder: Path) -> None:
     """Make a rename last through a power cut, where the system can do that."""
     if os.name != "posix":

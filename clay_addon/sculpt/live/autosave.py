@@ -9,10 +9,10 @@ was cut short, and its clay is recovered.
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import IO
 from zipfile import BadZipFile
 
 import bpy
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from ...base.app_handlers import add_handlers, remove_handlers
 from ...base.later import later
+from ...core.storage.whole_files import replace_file
 from ...model.clay_points import keep_sculpted, replace_points
 from ...model.clay_scene import clay_colors, clay_objects, read_points
 
@@ -119,12 +120,10 @@ def _arrays_of(scene: bpy.types.Scene) -> dict[str, NDArray]:
 
 
 def _write(path: Path, arrays: dict[str, NDArray]) -> None:
-    part = path.with_name(path.name + ".part")
-    with part.open("wb") as file:
+    def save(file: IO[bytes]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+
+    replace_file(path, path.with_name(path.name + ".part"), save)
 
 
 def recover(context: bpy.types.Context, path: Path) -> list[str]:
