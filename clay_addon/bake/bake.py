@@ -93,7 +93,7 @@ class BakeResult:
     max_penetration: float | None
     """Deepest that a particle lay inside a collider [m]."""
     overflow: int
-    """Neighbours that found no free slot in the solver."""
+    """Neighbors that found no free slot in the solver."""
     quarantined: int
     """Times a particle was held because its state was not finite."""
     warnings: tuple[str, ...] = ()
@@ -270,7 +270,7 @@ def _bake_frames(
 
 
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
-    """Give the clay the colours it has at the end: a bake has one for each particle."""
+    """Give the clay the colors it has at the end: a bake has one for each particle."""
     assert simulation.edited is not None
     colors = simulation.edited.colors
     cache.write_colors(colors)
@@ -412,7 +412,7 @@ def _warnings(scene: bpy.types.Scene, tally: _BakeTally) -> tuple[str, ...]:
         )
     if tally.overflow:
         warnings.append(
-            f"{tally.overflow} neighbours of particles found no room in the solver; the clay is "
+            f"{tally.overflow} neighbors of particles found no room in the solver; the clay is "
             "squeezed more than it can follow."
         )
     return tuple(warnings)

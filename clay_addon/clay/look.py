@@ -20,7 +20,7 @@ MODIFIER_NAME = "Clay Surface"
 
 
 def add_look(clay: bpy.types.Object, *, spacing: float | None = None) -> bpy.types.Modifier:
-    """Show a clay object as a smooth, coloured surface.
+    """Show a clay object as a smooth, colored surface.
 
     Adds the modifier "Clay Surface" last in the stack, or returns the one that is there, and puts
     the clay material on the object. The modifier's *Surface* switches between surface and points;
@@ -79,9 +79,9 @@ def surface_object(
 
 
 def show_colors() -> None:
-    """Let solid 3D views that colour by material, as they do at first, colour by attribute.
+    """Let solid 3D views that color by material, as they do at first, color by attribute.
 
-    So they show the clay's own colours, and everything else as before.
+    So they show the clay's own colors, and everything else as before.
     """
     for screen in bpy.data.screens:
         for area in screen.areas:

@@ -18,7 +18,7 @@ VERSION = 2
 def clay_material() -> bpy.types.Material:
     """Return the material of all clay, made at the first call.
 
-    Its colour is the attribute ``Color`` of the surface or the points.
+    Its color is the attribute ``Color`` of the surface or the points.
     """
     for material in bpy.data.materials:
         if material.get(MARK) == VERSION and material.library is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of clay out of stock nodes: points to volume to mesh, smoothed and coloured."""
+"""The surface of clay out of stock nodes: points to volume to mesh, smoothed and colored."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def surface_group() -> bpy.types.NodeTree:
     colored.data_type = "FLOAT_COLOR"
     colored.domain = "POINT"
     link(smoothed.outputs[0], colored.inputs["Geometry"])
-    # The nearest particle's colour alone would leave borders jagged.
+    # The nearest particle's color alone would leave borders jagged.
     mixed = add_node(tree, "GeometryNodeBlurAttribute", (-300, -700), Iterations=_COLOR_SMOOTHING)
     mixed.data_type = "FLOAT_COLOR"
     link(sample.outputs[0], next(item for item in mixed.inputs if item.enabled))

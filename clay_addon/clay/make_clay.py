@@ -15,7 +15,7 @@ from .look import add_look, show_colors
 from .meshes import ClayError, check_particle_count, check_place, closed_pieces, fill_pieces
 
 DEFAULT_COLOR = (0.72, 0.36, 0.22, 1.0)
-"""Colour of a piece that has neither material nor object colour: terracotta, linear RGBA."""
+"""Color of a piece that has neither material nor object color: terracotta, linear RGBA."""
 
 
 def make_clay(
@@ -75,7 +75,7 @@ def make_clay(
 
 
 def _color_of(item: bpy.types.Object) -> tuple[float, ...]:
-    """Colour of a piece, linear RGBA: its material's, else the object's, else terracotta."""
+    """Color of a piece, linear RGBA: its material's, else the object's, else terracotta."""
     material = item.active_material
     if material is not None:
         if material.node_tree and (bpy.app.version >= (5, 0, 0) or material.use_nodes):

@@ -191,7 +191,7 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
         "volume_error": _rounded(result.volume_error, 6),
         "volume_error_of_exported_mesh": _rounded(surface.volume / volume - 1.0, 6),
         "largest_penetration_m": _rounded(result.max_penetration, 6),
-        "neighbour_overflow": result.overflow,
+        "neighbor_overflow": result.overflow,
         "quarantined": result.quarantined,
         "warnings": list(result.warnings),
         "packed_bytes": packed["bytes"],

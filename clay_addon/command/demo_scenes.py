@@ -36,7 +36,7 @@ class DemoScene:
 SCENES = {
     "kindergarten": DemoScene(
         module="kindergarten",
-        what="hands flatten, pinch, push and dent clay in six colours",
+        what="hands flatten, pinch, push and dent clay in six colors",
         # Hands come, flatten and pinch, tear, push, press; and what they leave.
         moments=(0.05, 0.22, 0.35, 0.72, 0.93, 1.0),
         layout="pairs",
@@ -48,7 +48,7 @@ SCENES = {
     "wheel": DemoScene(
         module="wheel",
         what="two hands throw a pot on a potter's wheel",
-        # Hands come, centre, open, widen; and what they leave.
+        # Hands come, center, open, widen; and what they leave.
         moments=(0.04, 0.22, 0.42, 0.62, 0.83, 1.0),
         layout="feature",
         width=960,
@@ -69,7 +69,7 @@ SCENES = {
     ),
     "character": DemoScene(
         module="character",
-        what="tools model a bust from wax of six colours",
+        what="tools model a bust from wax of six colors",
         moments=(0.0, 0.2, 0.5, 0.75, 1.0),
         layout="feature",
         width=960,

@@ -111,7 +111,7 @@ def make_parser(
         "--spacing",
         metavar="MM",
         type=_positive,
-        help="with --again: distance between particles in millimetres (default: half the live one)",
+        help="with --again: distance between particles in millimeters (default: half the live one)",
     )
     bake.add_argument(
         "--substeps",

@@ -117,7 +117,7 @@ def deliver(
     Args:
         context: Its scene's clay is delivered: baked, packed, keyed or as it was sculpted.
         kind: ``usd``, or ``abc`` for Alembic, which keeps neither velocities (so no motion blur)
-            nor colours of more than eight bits.
+            nor colors of more than eight bits.
         start: First frame; the scene's setting, or the bake's first frame, where not given.
         end: Last frame; the scene's setting, or the bake's last frame, where not given.
         directory: Folder of the delivery; the scene's setting where not given.

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export of the clay as one closed, coloured mesh: STL, 3MF, OBJ, PLY or GLB.
+"""Export of the clay as one closed, colored mesh: STL, 3MF, OBJ, PLY or GLB.
 
 Axes are those of Blender's own exporters: STL, 3MF and PLY keep Z up, OBJ and GLB turn it to Y up.
-A file's unit is the metre, or the millimetre where asked for, as slicers read STL; 3MF is always in
-millimetres. Colours are linear in Blender and in GLB, and sRGB in 3MF, OBJ and PLY, 8 bits a
+A file's unit is the meter, or the millimeter where asked for, as slicers read STL; 3MF is always in
+millimeters. Colors are linear in Blender and in GLB, and sRGB in 3MF, OBJ and PLY, 8 bits a
 channel; STL has none. 3MF is written by `mesh_3mf`, the others by the trimesh library, whose 3MF
-needs two more packages and has no colours.
+needs two more packages and has no colors.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .print_checks import base_area, check_print, flat_base, untangle
 SUFFIXES = (".stl", ".3mf", ".obj", ".ply", ".glb")
 UNITS = {"m": 1.0, "mm": 1000.0}
 AUTO = "auto"
-"""The unit that programs take a file's numbers for: millimetres in STL and 3MF, else metres."""
+"""The unit that programs take a file's numbers for: millimeters in STL and 3MF, else meters."""
 PRINTED = (".stl", ".3mf")
 """Formats of 3D printing, whose shapes are checked for it."""
 MIN_WALL = 1.0
@@ -53,8 +53,8 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
     Args:
         surface: The surface [m].
         path: File with the suffix .stl, .3mf, .obj, .ply or .glb.
-        unit: Unit of the numbers in the file, "m", "mm" or "auto", which is millimetres in STL and
-            3MF and metres in the others; GLB is always in metres, 3MF in millimetres.
+        unit: Unit of the numbers in the file, "m", "mm" or "auto", which is millimeters in STL and
+            3MF and meters in the others; GLB is always in meters, 3MF in millimeters.
 
     Returns:
         The path.
@@ -104,7 +104,7 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
     if unit not in (*UNITS, AUTO):
         raise ExportError(f"The unit must be one of {', '.join(UNITS)}, {AUTO}, not {unit!r}.")
     if suffix == ".glb" and unit == "mm":
-        raise ExportError("A .glb file is always in metres; leave the unit at m.")
+        raise ExportError("A .glb file is always in meters; leave the unit at m.")
     if not path.parent.is_dir():
         raise ExportError(f"The folder {path.parent} does not exist. Make it first.")
     if path.is_dir():

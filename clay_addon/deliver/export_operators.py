@@ -13,7 +13,7 @@ from .export import AUTO, MIN_WALL, SUFFIXES, ExportError, export_clay
 
 
 class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
-    """Export the clay at the current frame as one closed, coloured mesh: STL, 3MF, OBJ, PLY, GLB"""
+    """Export the clay at the current frame as one closed, colored mesh: STL, 3MF, OBJ, PLY, GLB"""
 
     bl_idname = "clay.export"
     bl_label = "Export Clay"
@@ -30,9 +30,9 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
         name="Unit",
         description="Unit of the numbers in the file",
         items=(
-            (AUTO, "Automatic", "Millimetres in STL and 3MF, as slicers read them, else metres"),
-            ("m", "Metres", "As Blender's own exporters write"),
-            ("mm", "Millimetres", "As programs for 3D printing read STL"),
+            (AUTO, "Automatic", "Millimeters in STL and 3MF, as slicers read them, else meters"),
+            ("m", "Meters", "As Blender's own exporters write"),
+            ("mm", "Millimeters", "As programs for 3D printing read STL"),
         ),
         default=AUTO,
     )

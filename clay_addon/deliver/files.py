@@ -114,7 +114,7 @@ class FrameWriter:
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
             _add_late(item, made, number, "FACE")
             return
-        # Alembic of Blender has no other colours, and no velocities.
+        # Alembic of Blender has no other colors, and no velocities.
         layer = mesh.attributes.new(FILE_COLOR, "BYTE_COLOR", "CORNER")
         corners = np.ascontiguousarray(surface.colors[surface.faces.ravel()], np.float32)
         layer.data.foreach_set("color", corners.ravel())
@@ -200,7 +200,7 @@ def write_root(
         shown: The file of the shape shown from each frame on, in ascending order.
         last: The last frame.
         frames_per_second: Of the scene [1/s].
-        meters_per_unit: Metres in a unit of the shapes.
+        meters_per_unit: Meters in a unit of the shapes.
 
     Raises:
         OSError: It cannot be written.

@@ -52,7 +52,7 @@ def late_group(domain: str) -> bpy.types.NodeTree:
 
 
 def finish_group() -> bpy.types.NodeTree:
-    """Return the nodes that give a delivered surface its colour, grain and material."""
+    """Return the nodes that give a delivered surface its color, grain and material."""
     for tree in bpy.data.node_groups:
         if tree.get(_MARK) == _VERSION and tree.library is None:
             return tree

@@ -67,7 +67,7 @@ def check_print(surface: Surface, *, wall: float) -> PrintReport:
 def untangle(surface: Surface) -> Surface:
     """Let a surface that crosses itself, as in the notch between two balls, draw back from itself.
 
-    Around triangles that cross, vertices go half the way to the middle of their neighbours, again
+    Around triangles that cross, vertices go half the way to the middle of their neighbors, again
     and again until none cross. It stays closed; its volume changes by less than a thousandth.
 
     Args:
@@ -155,7 +155,7 @@ def _crossings(
     tree: BVHTree, vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Pairs of triangles of which an edge of one runs through the other, shape [P, 2]."""
-    # Neighbours that only touch are among what a tree in single precision finds.
+    # Neighbors that only touch are among what a tree in single precision finds.
     found = {(min(pair), max(pair)) for pair in tree.overlap(tree)}
     pairs = np.array(sorted(found), np.int64).reshape(-1, 2)
     crosses = np.zeros(len(pairs), bool)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A rigged mesh as the solver takes it: its rest pose in metres, its bones and their weights."""
+"""A rigged mesh as the solver takes it: its rest pose in meters, its bones and their weights."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def write_points(
 
 
 def write_colors(item: bpy.types.Object, colors: NDArray[np.floating]) -> None:
-    """Write the colours of a clay object's points, linear RGBA, shape [N, 4]."""
+    """Write the colors of a clay object's points, linear RGBA, shape [N, 4]."""
     values = np.ascontiguousarray(colors, np.float32).ravel()
     item.data.attributes["Color"].data.foreach_set("color", values)
     item.data.update_tag()

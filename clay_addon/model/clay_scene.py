@@ -59,7 +59,7 @@ def read_points(
 
 
 def clay_colors(item: bpy.types.Object) -> NDArray[np.float32]:
-    """Colours of a clay object's points, linear RGBA, shape [N, 4]; white if it has none."""
+    """Colors of a clay object's points, linear RGBA, shape [N, 4]; white if it has none."""
     colors = read_points(item, "Color", 4)
     return np.ones((len(item.data.points), 4), np.float32) if colors is None else colors
 

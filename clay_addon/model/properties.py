@@ -60,7 +60,7 @@ def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _get_spacing(properties: Any) -> float:
-    # Half a centimetre whatever the scene's unit scale, until a value is chosen.
+    # Half a centimeter whatever the scene's unit scale, until a value is chosen.
     return properties.spacing_chosen or from_meters(properties.id_data, 0.005)
 
 
@@ -250,8 +250,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         name="Format",
         description="What is written, and played in place of the clay",
         items=(
-            ("usd", "USD", "Surface, colours and velocities, so that there is motion blur"),
-            ("abc", "Alembic", "Surface and colours of eight bits; no motion blur"),
+            ("usd", "USD", "Surface, colors and velocities, so that there is motion blur"),
+            ("abc", "Alembic", "Surface and colors of eight bits; no motion blur"),
         ),
         default="usd",
     )

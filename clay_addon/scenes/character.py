@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The character: a bust of Suzanne, modelled with tools from wax of six colours.
+"""The character: a bust of Suzanne, modelled with tools from wax of six colors.
 
 She is blocked out without eyes, mouth or hat. Pellets of other wax have been set on her face and
 chest, and a beret on her head, as lightly as they stick. Tools then press the eyes flat, push the

@@ -2,7 +2,7 @@
 """The kindergarten scene: blocks of modelling clay on a table, and small hands that work them.
 
 After section V of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: 2,114 particles of coloured clay. A palm flattens a block, two fingers pinch the head off
+WHC 2021: 2,114 particles of colored clay. A palm flattens a block, two fingers pinch the head off
 a caterpillar, two hands push two blocks together, and a finger presses a dent. Suzanne watches.
 
 All of it are ordinary objects with modifiers, armatures and keyframes, to be changed by hand.
@@ -175,7 +175,7 @@ def _flatten_base(item: bpy.types.Object, height: float) -> None:
 
 
 def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
-    """Give Suzanne's eyes, too small for pieces of their own, a colour by particle."""
+    """Give Suzanne's eyes, too small for pieces of their own, a color by particle."""
     positions = np.empty((len(clay.data.points), 3), np.float32)
     clay.data.attributes["position"].data.foreach_get("vector", positions.ravel())
     places = transform(clay.matrix_world, positions)

@@ -241,7 +241,7 @@ class CLAY_OT_incline_scene_add(_Add, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_kindergarten_scene_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Make a scene with coloured blocks of clay on a table, and two hands that work them"""
+    """Make a scene with colored blocks of clay on a table, and two hands that work them"""
 
     bl_idname = "clay.kindergarten_scene_add"
     bl_label = "Add Kindergarten"

@@ -23,7 +23,7 @@ def mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.
 
 
 def plain_material(name: str, color: Vec3, roughness: float) -> bpy.types.Material:
-    """Make a material of one colour, linear RGB."""
+    """Make a material of one color, linear RGB."""
     material = bpy.data.materials.new(name)
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True

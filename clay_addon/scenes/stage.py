@@ -102,7 +102,7 @@ def add_camera(
 
 
 def set_clock_and_units(scene: bpy.types.Scene, frame_count: int) -> None:
-    """Let a scene run from frame 1, in centimetres."""
+    """Let a scene run from frame 1, in centimeters."""
     scene.frame_start, scene.frame_end = 1, frame_count
     scene.frame_set(1)
     scene.render.fps, scene.render.fps_base = FRAMES_PER_SECOND, 1.0
@@ -123,7 +123,7 @@ def set_render(scene: bpy.types.Scene, width: int, height: int) -> None:
 
 
 def look_through_camera(context: bpy.types.Context) -> None:
-    """Let whoever sees the scene see it through its camera, in colour."""
+    """Let whoever sees the scene see it through its camera, in color."""
     # A file made without a window is opened with any of its workspaces.
     screens = [context.screen] if context.screen else bpy.data.screens
     for screen in screens:

@@ -3,7 +3,7 @@
 
 After figure 7 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
 WHC 2021: 4,169 particles on a wheel that turns 100 times a minute. The pedal is pressed, the hands
-centre the lump, open it, and raise its wall; then the pedal is let go.
+center the lump, open it, and raise its wall; then the pedal is let go.
 
 All of it are ordinary objects with modifiers, armatures and keyframes, to be changed by hand.
 """
@@ -99,7 +99,7 @@ def build(context: bpy.types.Context) -> WheelScene:
 
 
 def _add_lump(context: bpy.types.Context) -> bpy.types.Object:
-    """A ball of clay thrown onto the wheel, not quite round and not quite centred."""
+    """A ball of clay thrown onto the wheel, not quite round and not quite centered."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=1.0)
     item = context.object
     item.name = item.data.name = "Lump"

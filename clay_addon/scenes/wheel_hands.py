@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The two hands of the potter's wheel scene, and what they do: a pot is thrown in 8 seconds.
 
-The potter sits at +Y. Both palms centre the lump; then the two index fingers open it and draw
+The potter sits at +Y. Both palms center the lump; then the two index fingers open it and draw
 apart, so that its wall rises. Whatever one hand does the other does opposite: nothing pushes the
 clay off the axis, and nobody has to steady it.
 """
@@ -63,7 +63,7 @@ def _both(
 
 
 _KEYS = (
-    # They come, and centre the lump.
+    # They come, and center the lump.
     _both(1, _CUP_RIGHT, _CUP_LEFT, (0.130, 0.0, 0.080)),
     _both(22, _CUP_RIGHT, _CUP_LEFT, (0.084, 0.0, 0.036)),
     _both(56, _CUP_RIGHT, _CUP_LEFT, (0.0715, 0.0, 0.036)),

@@ -89,7 +89,7 @@ class BrushOverlay:
         Args:
             brush: Its tool, copies and cursor.
             view_matrix: Camera space from the world [Blender units], shape [4, 4].
-            scale: Metres in a Blender unit.
+            scale: Meters in a Blender unit.
         """
         import gpu
 

@@ -179,7 +179,7 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
 
     Args:
         clay: The clay objects of a scene.
-        scale: Metres in a Blender unit.
+        scale: Meters in a Blender unit.
     """
     if not clay:
         return np.eye(4)

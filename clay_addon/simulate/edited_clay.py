@@ -24,7 +24,7 @@ from ..model.clay_points import ABSENT
 from ..model.clay_scene import clay_colors, read_points
 
 FIRST_COLOR = "clay_first_color"
-"""Attribute that keeps the colours at the beginning; those that are shown are of the end."""
+"""Attribute that keeps the colors at the beginning; those that are shown are of the end."""
 _SPARE = 1.25
 """Room for added particles, over what the edits would add one after another where no clay is: what
 they add depends on how the clay moves meanwhile."""
@@ -66,7 +66,7 @@ def room_for(edits: Sequence[TakeEdit], spacing: float) -> int:
 
 
 def prepare_for_edits(item: bpy.types.Object, absent_count: int) -> None:
-    """Say that the last points of a clay object are not there yet, and keep its first colours."""
+    """Say that the last points of a clay object are not there yet, and keep its first colors."""
     absent = np.zeros(len(item.data.points), bool)
     absent[len(absent) - absent_count :] = True
     layer = item.data.attributes.new(ABSENT, "BOOLEAN", "POINT")
@@ -76,7 +76,7 @@ def prepare_for_edits(item: bpy.types.Object, absent_count: int) -> None:
 
 
 class EditedClay:
-    """The particles of a bake with edits: which are there, and what colour they have.
+    """The particles of a bake with edits: which are there, and what color they have.
 
     Args:
         text: What `edits_text` gave.
@@ -119,7 +119,7 @@ class EditedClay:
         return self._text
 
     def bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """Positions [Blender units] and colours of what is there, for each object."""
+        """Positions [Blender units] and colors of what is there, for each object."""
         last = int(self._object.max()) + 1
         own = [self.present & (self._object == which) for which in range(last)]
         return [(self._positions[rows], self.colors[rows]) for rows in own]
@@ -194,7 +194,7 @@ class EditedClay:
             self._place[absent] = there[near]
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Which particles are there, where and in what colour."""
+        """Which particles are there, where and in what color."""
         return {
             "scene_edit_present": self.present.copy(),
             "scene_edit_positions": self._positions.copy(),

@@ -214,7 +214,7 @@ class TakeRecorder:
         Args:
             kind: What was done: an `EditKind`.
             parameters: How, independent of the spacing: numbers, texts, lists and arrays of them.
-                Lengths in metres, world space.
+                Lengths in meters, world space.
         """
         self._edits += 1
         self._steps.event(

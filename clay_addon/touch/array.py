@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _CORNERS = 12
 _MARGIN = 0.012
-"""From the outermost transducers' centres to the plate's edge [m]."""
+"""From the outermost transducers' centers to the plate's edge [m]."""
 _ARROW = 0.06
 """Length of the arrow out of the plate [m]."""
 
@@ -70,7 +70,7 @@ def _mesh(name: str, array: TransducerArray, scene: bpy.types.Scene) -> bpy.type
 
 
 def placed_array(scene: bpy.types.Scene) -> TransducerArray | None:
-    """The scene's array where it stands, in metres; None where it has none.
+    """The scene's array where it stands, in meters; None where it has none.
 
     Raises:
         TouchArrayError: Its object is scaled or sheared.

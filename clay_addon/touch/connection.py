@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch: the connection to an array server, and what each frame is felt.
+"""Touch: the connection to an array server, and what the hands feel in each frame.
 
 The server is a process of its own that ends with Blender. Everything here runs in Blender's main
 thread and waits for nothing but the server's start.
@@ -35,11 +35,11 @@ _MODULES = {"pyserial": "serial", "pyusb": "usb", "autd3": "autd3"}
 
 
 class TouchError(TactileClayError):
-    """Touch cannot be had; the message says why and what to do."""
+    """Touch is not available; the message says why and what to do."""
 
 
 def missing_touch_part(kind: str) -> str:
-    """What a kind of device needs that is not installed, as a sentence; mostly empty."""
+    """The package that a kind of device lacks, as a sentence; empty if it lacks none."""
     part = _PARTS.get(kind)
     if part is None:
         return ""
@@ -121,15 +121,15 @@ class TouchConnection:
         taken: float | None = None,
         send: bool = True,
     ) -> TouchFrame | None:
-        """Let a frame be felt: the one thing that a live session or a bake calls, once a frame.
+        """Turn the contacts of a frame into touch; live sessions and bakes call it once a frame.
 
         Args:
             scene: Its array and settings count.
-            contacts: ``solver.contacts(hand)`` of each hand, in metres and world coordinates.
+            contacts: ``solver.contacts(hand)`` of each hand, in meters and world coordinates.
             weights: Perceptual weights of each hand's ghosts.
             dt: Time since the last frame [s]; None after a jump.
             taken: When the contacts were taken, by `time.monotonic` [s]; now if not given.
-            send: Whether it is sent to the array; a bake is not in time, and only keeps it.
+            send: Whether it is sent to the array; a bake is not in real time and only records it.
 
         Returns:
             The frame, to be recorded with the bake; None where the scene has no array.
@@ -188,7 +188,7 @@ class TouchConnection:
         self.shown = frame
 
     def rest(self) -> None:
-        """Feel nothing, and forget what the last frame was: at the end of a live session."""
+        """Silence the array and forget the previous frame, at the end of a live session."""
         self._pipeline = None
         self.show(None)
         if self.client is not None:

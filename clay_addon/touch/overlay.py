@@ -33,7 +33,7 @@ def focus_rings(
         normal: Where the sound goes, shape [3].
 
     Returns:
-        Ends of lines in metres, shape [K, 2 S, 3], and the middle and rim of triangles, shape
+        Ends of lines in meters, shape [K, 2 S, 3], and the middle and rim of triangles, shape
         [K, 3 S, 3].
     """
     seed = np.eye(3)[np.argmin(np.abs(normal))]
@@ -61,8 +61,8 @@ def draw_frame(
     Args:
         frame: What is felt.
         normal: Where the sound goes, shape [3].
-        scale: Metres in a Blender unit.
-        ceiling: Pressure of the brightest colour [Pa].
+        scale: Meters in a Blender unit.
+        ceiling: Pressure of the brightest color [Pa].
     """
     import gpu
     from gpu_extras.batch import batch_for_shader

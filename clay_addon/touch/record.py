@@ -33,7 +33,7 @@ def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, sc
         number: Number of the frame.
         frame: What was felt.
         meta: The bake's.
-        scale: Metres in a Blender unit.
+        scale: Meters in a Blender unit.
 
     Raises:
         CacheError: The folder cannot be written to.
@@ -49,7 +49,7 @@ def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
     Args:
         cache: The bake's cache.
         number: Number of the frame.
-        scale: Metres in a Blender unit.
+        scale: Meters in a Blender unit.
 
     Raises:
         CacheError: Nothing was recorded there, or it is damaged.

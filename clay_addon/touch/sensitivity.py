@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much touch counts on each part of a hand, as a colour layer on its mesh."""
+"""How much touch counts on each part of a hand, as a color layer on its mesh."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..hands.hand import hand_objects, read_hand_rig
 from ..hands.reading import HandError, skinned_hand
 
 LAYER = "Sensitivity"
-"""Name of the colour attribute."""
+"""Name of the color attribute."""
 _RAMP = np.array(
     [
         (0.02, 0.03, 0.18, 1.0),
@@ -23,7 +23,7 @@ _RAMP = np.array(
         (1.0, 0.95, 0.3, 1.0),
     ]
 )
-"""Linear colours for weights of 0, 1/3, 2/3 and 1."""
+"""Linear colors for weights of 0, 1/3, 2/3 and 1."""
 
 
 def sensitivity_colors(weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -33,7 +33,7 @@ def sensitivity_colors(weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def paint_sensitivity(context: bpy.types.Context, item: bpy.types.Object) -> None:
-    """Give a bound hand's mesh a colour layer of its perceptual weights, and show it.
+    """Give a bound hand's mesh a color layer of its perceptual weights, and show it.
 
     Raises:
         HandError: The hand is not bound, or has changed since.
@@ -65,7 +65,7 @@ def paint_sensitivity(context: bpy.types.Context, item: bpy.types.Object) -> Non
 
 
 class CLAY_OT_touch_sensitivity(bpy.types.Operator):  # noqa: N801
-    """Colour the hands by how much touch counts on each part of their skin"""
+    """Color the hands by how much touch counts on each part of their skin"""
 
     bl_idname = "clay.touch_sensitivity"
     bl_label = "Show Sensitivity"
@@ -77,7 +77,7 @@ class CLAY_OT_touch_sensitivity(bpy.types.Operator):  # noqa: N801
         return bool(hand_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Colour all hands of the scene."""
+        """Color all hands of the scene."""
         painted = 0
         for item in hand_objects(context.scene):
             try:

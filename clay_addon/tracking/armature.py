@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Between tracked hands in metres and the bones of an armature object in Blender units."""
+"""Between tracked hands in meters and the bones of an armature object in Blender units."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of an array's sound: pressure on a plane, and colours for it."""
+"""Pictures of an array's sound: pressure on a plane, and colors for it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RAMP = np.array(
         (1.00, 1.00, 0.98, 0.65),
     )
 )
-"""Value, then red, green and blue: evenly brighter, for the colour-blind too."""
+"""Value, then red, green and blue: evenly brighter, for the color-blind too."""
 
 
 def palm_plane(
@@ -78,7 +78,7 @@ def field_on_plane(
 
 
 def pressure_colors(pressures: ArrayLike, largest: float) -> NDArray[np.float32]:
-    """Colours from dark (none) to bright (`largest` or more), linear RGBA, shape [..., 4].
+    """Colors from dark (none) to bright (`largest` or more), linear RGBA, shape [..., 4].
 
     Args:
         pressures: Pressures, any shape.

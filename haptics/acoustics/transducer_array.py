@@ -41,7 +41,7 @@ class TransducerArray:
     """
 
     positions: Array
-    """Centres of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
+    """Centers of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
     normals: Array
     """Unit vectors along which each of them emits, shape [T, 3]; one vector stands for all."""
     p0: float
@@ -189,14 +189,14 @@ class TransducerArray:
         missing: ArrayLike = (),
         **values: Any,
     ) -> TransducerArray:
-        """Lay out a flat grid in the XY plane, centred on the origin, that emits along +Z.
+        """Lay out a flat grid in the XY plane, centered on the origin, that emits along +Z.
 
         Transducers are listed row by row: X grows fastest, then Y.
 
         Args:
             columns: How many stand along X.
             rows: How many stand along Y.
-            pitch: Distance of neighbours [m].
+            pitch: Distance of neighbors [m].
             missing: Column and row of places without a transducer, shape [M, 2].
             values: Every other field of the class.
 
@@ -246,7 +246,7 @@ class TransducerArray:
         ``[grid]`` table with columns, rows, pitch [m] and missing, or from positions and normals.
 
         Raises:
-            ValueError: The file is no TOML, a key is unknown or a value does not fit.
+            ValueError: The file is not valid TOML, a key is unknown or a value does not fit.
             OSError: The file cannot be read.
         """
         try:

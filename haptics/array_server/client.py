@@ -38,7 +38,7 @@ _clock = time.monotonic
 _START_TIMEOUT = 20.0
 _STOP_TIMEOUT = 3.0
 _HEARD_WITHIN = 0.5
-"""A server that has sent no status for this long is taken for lost [s]; it sends ten a second."""
+"""A server that has sent no status for this long counts as lost [s]; it sends ten a second."""
 
 
 class ArrayServerError(TactileClayError):
@@ -62,7 +62,7 @@ class ArrayStatus:
     """What an array server last said about itself."""
 
     heard: bool = False
-    """Whether it has said so within the last half second; if not, all else is out of date."""
+    """Whether it has said so within the last half second; otherwise the rest is out of date."""
     device: str = ""
     """Name of its device."""
     connected: bool = False
@@ -247,7 +247,7 @@ class ArrayClient:
         return ArrayStatus(**table)
 
     def drive(self, *, wait: float = 2.0) -> NDArray[np.complex128]:
-        """The drive that the device holds, after caps and quantisation, shape [T].
+        """The drive that the device holds, after caps and quantization, shape [T].
 
         Args:
             wait: Wait up to this long for the answer [s].

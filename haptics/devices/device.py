@@ -147,7 +147,7 @@ class Device(ABC):
     """Whether it falls silent by itself when the server is gone."""
 
     held: NDArray[np.complex128] = np.zeros(0, np.complex128)
-    """The drive that it holds as far as is known, after quantisation, shape [T]; 0 is silence."""
+    """The drive that it holds as far as is known, after quantization, shape [T]; 0 is silence."""
 
     @abstractmethod
     def open(self, now: float) -> None:

@@ -21,7 +21,7 @@ _WORTH = 3.0
 """A pair is merged to free a cluster for a split elsewhere that gains so many times what it costs:
 well above 1, lest the pair comes back with the next frame."""
 _STILL = 0.02
-"""Centres that move less are where they should be, over sigma."""
+"""Centers that move less are where they should be, over sigma."""
 _SHIFTS = 4
 _OFF_SKIN = 1.3
 """A mean of skin farther from every point than this, over its reach, lies in the air."""
@@ -31,7 +31,7 @@ Real = NDArray[np.float64]
 
 
 class Clusters:
-    """Points with mass, and the search for centres among them.
+    """Points with mass, and the search for centers among them.
 
     All positions are relative to a point nearby, so that single precision is exact to some 25 µm.
 
@@ -55,36 +55,36 @@ class Clusters:
         np.multiply(self._rows[2], self._moments[3], out=self._moments[9])
 
     def find(self, count: int, start: Real | None) -> Real:
-        """Centres of at most `count` clusters [m], shape [K, 3].
+        """Centers of at most `count` clusters [m], shape [K, 3].
 
         Args:
             count: Most clusters, at least 1.
-            start: Centres to go on from [m], shape [K, 3]; k-means++ seeds where not given. Their
+            start: Centers to go on from [m], shape [K, 3]; k-means++ seeds where not given. Their
                 order is kept.
         """
         if start is None:
-            centres, sums = self._sweep(self._seeds(count), _SWEEPS_COLD)
+            centers, sums = self._sweep(self._seeds(count), _SWEEPS_COLD)
         else:
-            centres, sums = self._sweep(start, _SWEEPS_WARM)
+            centers, sums = self._sweep(start, _SWEEPS_WARM)
         for _ in range(2 * count):
-            changed = self._adapted(centres, sums, count)
+            changed = self._adapted(centers, sums, count)
             if changed is None:
                 break
-            centres, sums = self._sweep(changed, _SWEEPS_WARM)
-        return centres
+            centers, sums = self._sweep(changed, _SWEEPS_WARM)
+        return centers
 
-    def snapped(self, centres: Real, reach: float) -> Real:
-        """The skin beside each centre [m], shape [K, 3].
+    def snapped(self, centers: Real, reach: float) -> Real:
+        """The skin beside each center [m], shape [K, 3].
 
-        It is the mean mass of the cluster about the point nearest to the centre, which moves
-        smoothly with the centre. Where that lies off the skin, as between two fingers, it is the
+        It is the mean mass of the cluster about the point nearest to the center, which moves
+        smoothly with the center. Where that lies off the skin, as between two fingers, it is the
         middle of the pressed skin next to the nearest point.
 
         Args:
-            centres: Centres [m], shape [K, 3].
+            centers: Centers [m], shape [K, 3].
             reach: Standard deviation of the mean [m].
         """
-        score, members = self._members(centres)
+        score, members = self._members(centers)
         closest = (self._square - 2.0 * score).argmin(1)
         least = self._square[closest] - 2.0 * score[np.arange(len(score)), closest]
         beyond = self._square - 2.0 * score.max(0) - small_product(members.T, least)
@@ -108,35 +108,35 @@ class Clusters:
         weight = np.exp(np.maximum((square - square.min()) * (-0.5 / reach**2), -40.0))
         return (small_product(self._rows, weight) / weight.sum()).astype(np.float32)
 
-    def _members(self, centres: Real) -> tuple[Real, Real]:
-        """What is greatest for the nearest centre, and 1 where that is this one, shape [K, M]."""
-        centres = centres.astype(np.float32)
-        score = centres @ self._rows
-        score -= 0.5 * np.square(centres).sum(1)[:, None]
+    def _members(self, centers: Real) -> tuple[Real, Real]:
+        """What is greatest for the nearest center, and 1 where that is this one, shape [K, M]."""
+        centers = centers.astype(np.float32)
+        score = centers @ self._rows
+        score -= 0.5 * np.square(centers).sum(1)[:, None]
         return score, (score >= score.max(0)).astype(np.float32)
 
-    def _sums(self, centres: Real) -> Real:
-        """Mass, first and second moments of each centre's cluster, shape [K, 10]."""
-        return small_product(self._members(centres)[1], self._moments.T).astype(np.float64)
+    def _sums(self, centers: Real) -> Real:
+        """Mass, first and second moments of each center's cluster, shape [K, 10]."""
+        return small_product(self._members(centers)[1], self._moments.T).astype(np.float64)
 
-    def _sweep(self, centres: Real, most: int) -> tuple[Real, Real]:
+    def _sweep(self, centers: Real, most: int) -> tuple[Real, Real]:
         """Lloyd's iteration; clusters that nothing belongs to vanish.
 
         Returns:
-            Centres, shape [K, 3], and the moments they come from, shape [K, 10].
+            Centers, shape [K, 3], and the moments they come from, shape [K, 10].
         """
-        sums = np.zeros((len(centres), 10))
+        sums = np.zeros((len(centers), 10))
         for _ in range(most):
-            sums = self._sums(centres)
+            sums = self._sums(centers)
             alive = sums[:, 0] > 0.0
             if not alive.all():
-                centres, sums = centres[alive], sums[alive]
+                centers, sums = centers[alive], sums[alive]
             moved = sums[:, 1:4] / sums[:, :1]
-            shift = float(np.abs(moved - centres).max())
-            centres = moved
+            shift = float(np.abs(moved - centers).max())
+            centers = moved
             if shift < _STILL * self._sigma:
                 break
-        return centres, sums
+        return centers, sums
 
     def _seeds(self, count: int) -> Real:
         """k-means++: each next seed is drawn by mass times squared distance to those there are.
@@ -156,12 +156,12 @@ class Clusters:
             chance = self._mass * np.where(least < (_APART * self._sigma) ** 2, 0.0, least)
         return np.array(seeds, np.float64)
 
-    def _adapted(self, centres: Real, sums: Real, count: int) -> Real | None:
-        """Centres with one cluster more, fewer or elsewhere; None where nothing is to change."""
+    def _adapted(self, centers: Real, sums: Real, count: int) -> Real | None:
+        """Centers with one cluster more, fewer or elsewhere; None where nothing is to change."""
         mass = sums[:, 0]
-        (keep, gone), apart, cost = self._cheapest_pair(centres, mass)
+        (keep, gone), apart, cost = self._cheapest_pair(centers, mass)
         if apart < _MERGE * self._sigma:
-            result = _merged(centres, mass, keep, gone)
+            result = _merged(centers, mass, keep, gone)
             return np.delete(result, gone, axis=0)
         if count == 1:
             return None
@@ -171,38 +171,38 @@ class Clusters:
         if largest[which] == 0.0:
             return None
         step = _PART * np.sqrt(variance[which, 2]) * axes[which, :, 2]
-        if len(centres) < count:
-            result = np.vstack((centres, centres[which] + step))
+        if len(centers) < count:
+            result = np.vstack((centers, centers[which] + step))
             result[which] -= step
             return result
         if which in (keep, gone) or _PART * _PART * largest[which] < _WORTH * cost:
             return None
-        result = _merged(centres, mass, keep, gone)
-        result[gone] = centres[which] + step
+        result = _merged(centers, mass, keep, gone)
+        result[gone] = centers[which] + step
         result[which] -= step
         return result
 
-    def _cheapest_pair(self, centres: Real, mass: Real) -> tuple[tuple[int, int], float, float]:
+    def _cheapest_pair(self, centers: Real, mass: Real) -> tuple[tuple[int, int], float, float]:
         """The two clusters that cost least to merge (Ward 1963): who, how far apart, the cost.
 
         Where clusters are nearer than the distance of merging, it is those among them.
         """
-        if len(centres) < 2:
+        if len(centers) < 2:
             return (0, 0), np.inf, np.inf
-        square = np.square(centres[:, None] - centres[None]).sum(2)
+        square = np.square(centers[:, None] - centers[None]).sum(2)
         np.fill_diagonal(square, np.inf)
         cost = square * (np.outer(mass, mass) / np.add.outer(mass, mass))
         close = square < (_MERGE * self._sigma) ** 2
         ranked = np.where(close, cost, np.inf) if close.any() else cost
-        first, second = sorted(divmod(int(ranked.argmin()), len(centres)))
+        first, second = sorted(divmod(int(ranked.argmin()), len(centers)))
         return (first, second), float(np.sqrt(square[first, second])), float(cost[first, second])
 
 
-def _merged(centres: Real, mass: Real, keep: int, gone: int) -> Real:
-    """A copy of the centres where one stands for two."""
-    result = centres.copy()
+def _merged(centers: Real, mass: Real, keep: int, gone: int) -> Real:
+    """A copy of the centers where one stands for two."""
+    result = centers.copy()
     both = (keep, gone)
-    result[keep] = np.average(centres[both, :], axis=0, weights=mass[[keep, gone]])
+    result[keep] = np.average(centers[both, :], axis=0, weights=mass[[keep, gone]])
     return result
 
 

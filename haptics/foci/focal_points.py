@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from .clusters import Clusters
 
 PRESSURE_RULES = ("least_squares", "printed")
-"""How a focus gets its pressure: the true minimiser of equation 9, or what the paper prints."""
+"""How a focus gets its pressure: the true minimizer of equation 9, or what the paper prints."""
 
 _SNAP = 0.3
-"""Reach of the mean of the skin beside a centre that stands for the skin there, over sigma."""
+"""Reach of the mean of the skin beside a center that stands for the skin there, over sigma."""
 
 Real = NDArray[np.float64]
 
@@ -115,8 +115,8 @@ def focus(
     start = None
     if previous is not None and previous.count > 0:
         start = previous.positions[:count] - origin
-    centres = clusters.find(count, start)
-    places = clusters.snapped(centres, _SNAP * sigma)
+    centers = clusters.find(count, start)
+    places = clusters.snapped(centers, _SNAP * sigma)
     assignment, square = _nearest(rows, places)
     fall = np.exp(square * (-0.5 / sigma**2))
     above = np.bincount(assignment, target * fall, len(places))

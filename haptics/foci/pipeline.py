@@ -17,7 +17,7 @@ from .focal_points import focus, reconstruct
 
 @dataclass(frozen=True, eq=False)
 class TouchFrame:
-    """What is to be felt in one frame, in world coordinates."""
+    """What one frame should feel like, in world coordinates."""
 
     positions: NDArray[np.float64]
     """Focal points [m], shape [K, 3]."""
@@ -67,7 +67,7 @@ class TouchPipeline:
             dt: Time since the frame before [s]; None for a frame without a predecessor.
             gain: Focal over contact pressure for light contact.
             ceiling: Greatest focal pressure [Pa].
-            count: Most focal points.
+            count: Largest number of focal points.
 
         Raises:
             ValueError: Shapes do not fit, or an option is out of its range.

@@ -28,7 +28,7 @@ _REPEAT_RATE = 200.0
 _TOUCHED = 0.05
 """Skin with a smaller part of the greatest weighted pressure is no stop."""
 _REACH = 1.0
-"""How far a stop serves, over sigma: neighbouring lanes of the route then lie within 2 sigma, where
+"""How far a stop serves, over sigma: neighboring lanes of the route then lie within 2 sigma, where
 Gaussians add up to an even field within 2 %."""
 _NODE = 0.3
 """Distance of the places where the pressure is solved for, over sigma."""

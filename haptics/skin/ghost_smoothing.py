@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Smoothing over neighbouring ghosts of a hand's skin that keeps both force and even pressure."""
+"""Smoothing over neighboring ghosts of a hand's skin that keeps both force and even pressure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _REACH = 2.5
-"""How far neighbours count, over the standard deviation of the Gaussian."""
+"""How far neighbors count, over the standard deviation of the Gaussian."""
 _BALANCING_SWEEPS = 30
 
 Real = NDArray[np.float64]
@@ -19,11 +19,11 @@ class GhostSmoothing:
     """Spreads a pressure over the skin by a Gaussian of one ghost spacing.
 
     The kernel is balanced (Sinkhorn) so that ∫ p dA is kept and an even pressure stays as it is, at
-    the skin's edges too. Ghosts whose normals differ by more than a right angle are no neighbours:
+    the skin's edges too. Ghosts whose normals differ by more than a right angle are no neighbors:
     what presses on a finger's pad is not felt on its nail.
 
-    Neighbours are found once, for the pose in which a hand is first seen, in about 0.1 s for 2,000
-    ghosts; skin keeps its neighbours when it moves.
+    Neighbors are found once, for the pose in which a hand is first seen, in about 0.1 s for 2,000
+    ghosts; skin keeps its neighbors when it moves.
 
     Args:
         positions: Where the ghosts are [m], shape [G, 3].
@@ -72,7 +72,7 @@ class GhostSmoothing:
 def _pairs(
     positions: Real, normals: Real, reach: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Real]:
-    """Neighbours on the same side of the skin, each pair both ways and each ghost with itself.
+    """Neighbors on the same side of the skin, each pair both ways and each ghost with itself.
 
     Returns:
         First, second and the square of their distance [m²], sorted by the first, shape [N].

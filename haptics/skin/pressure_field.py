@@ -94,7 +94,7 @@ class PressureField:
     """Smoothed contact pressure of all ghosts [Pa], shape [G], which the next frame starts from;
     empty for a joined field."""
     smoothing: GhostSmoothing | None = None
-    """Neighbours among the ghosts, found with the first frame."""
+    """Neighbors among the ghosts, found with the first frame."""
 
     @classmethod
     def from_contacts(

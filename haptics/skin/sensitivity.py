@@ -95,7 +95,7 @@ class SkinSensitivity:
     """
 
     vertices: Real
-    """Weight α of each vertex of the skin, for a colour layer, shape [V]."""
+    """Weight α of each vertex of the skin, for a color layer, shape [V]."""
     ghosts: Real
     """Weight α of each ghost, shape [G]."""
     distances: Real

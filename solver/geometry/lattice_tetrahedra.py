@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tetrahedra of a body-centred cubic lattice, and points carried by tetrahedra.
+"""Tetrahedra of a body-centered cubic lattice, and points carried by tetrahedra.
 
 All tetrahedra of the lattice are alike and none is flat: dihedral angles are 60° and 90° (Labelle
 and Shewchuk, "Isosurface Stuffing", SIGGRAPH 2007, 10.1145/1275808.1276448).

@@ -21,7 +21,7 @@ MAX_BONES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class HandRig:
-    """The rest pose of a hand. Lengths in metres, in world coordinates at the time of binding.
+    """The rest pose of a hand. Lengths in meters, in world coordinates at the time of binding.
 
     Points carried by tetrahedra have four barycentric weights, which add up to one; some are
     negative for points slightly outside their tetrahedron.

@@ -136,7 +136,7 @@ def scale_factors(side: str, length: float) -> Array:
     if side not in ("right", "left"):
         raise ValueError(f'side must be "right" or "left", not {side!r}.')
     if not (np.isfinite(length) and length > 0.0):
-        raise ValueError(f"length must be a positive number of metres, not {length!r}.")
+        raise ValueError(f"length must be a positive number of meters, not {length!r}.")
     factor = length / REFERENCE_LENGTH
     return np.array([factor if side == "right" else -factor, factor, factor])
 

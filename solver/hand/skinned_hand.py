@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class SkinnedHand:
-    """A skin and its skeleton in the rest pose. Lengths in metres, in world coordinates.
+    """A skin and its skeleton in the rest pose. Lengths in meters, in world coordinates.
 
     Raises:
         ValueError: Arrays do not fit each other.

@@ -176,7 +176,7 @@ class Material:
         """Read a material from a TOML file with a ``[material]`` table.
 
         Raises:
-            ValueError: The file is no TOML, or a key is unknown or has no number.
+            ValueError: The file is not valid TOML, or a key is unknown or has no number.
             OSError: The file cannot be read.
         """
         try:

@@ -151,7 +151,7 @@ class Scene:
         solver.step(1 / 60)
 
     Args:
-        spacing: Distance of neighbouring particles at rest [m].
+        spacing: Distance of neighboring particles at rest [m].
         gravity: Acceleration of free fall [m/s²], shape [3].
 
     Raises:
@@ -366,7 +366,7 @@ class Scene:
         return np.concatenate([np.zeros((0, 3), np.float32), *self._velocities])
 
     def colors(self) -> NDArray[np.float32]:
-        """Particle colours, linear RGBA in 0..1, shape [N, 4]."""
+        """Particle colors, linear RGBA in 0..1, shape [N, 4]."""
         return np.concatenate([np.zeros((0, 4), np.float32), *self._colors])
 
     def materials(self) -> tuple[list[Material], NDArray[np.int32]]:

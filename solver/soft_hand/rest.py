@@ -94,7 +94,7 @@ def rest_of(rig: HandRig) -> FleshRest:
     products = np.einsum("sk,sl->skl", weights, weights) / len(weights)
     bone_shares = np.einsum("t,ts,skl->tkl", volumes, bone.astype(float), products)
     share = np.maximum(inside.mean(1), MIN_SHARE)
-    # Twelve tetrahedra of a body-centred cubic lattice fill a cell.
+    # Twelve tetrahedra of a body-centered cubic lattice fill a cell.
     cell = float(np.cbrt(12.0 * volumes.mean()))
     bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)
     return FleshRest(gradients, volumes * share, bone_shares, bedding_length)

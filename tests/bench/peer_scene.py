@@ -46,7 +46,7 @@ class PeerScene:
     spacing: float
     """Their distance [m]."""
     heights: Array
-    """Where the ball's centre is at the end of each frame [m], shape [F]; it stands over the
+    """Where the ball's center is at the end of each frame [m], shape [F]; it stands over the
     origin."""
     settled: int
     """Frame after which the block has settled."""

@@ -105,7 +105,7 @@ class Recorder:
         self.order: np.ndarray | None = None
 
     def height(self, moment: float) -> float:
-        """Of the ball's centre at a time [s]."""
+        """Of the ball's center at a time [s]."""
         ends = self.frame * np.arange(1, len(self.heights) + 1)
         return float(np.interp(moment, ends, self.heights))
 

@@ -93,7 +93,7 @@ class MaterialPoints:
 
     @ti.kernel
     def advance(self, height: ti.f32, speed: ti.f32):  # type: ignore[no-untyped-def, valid-type]
-        """One step, with the ball's centre at a height [m] and its speed [m/s]."""
+        """One step, with the ball's center at a height [m] and its speed [m/s]."""
         for node in ti.grouped(self.grid_m):
             self.grid_v[node] = ti.Vector.zero(ti.f32, 3)
             self.grid_m[node] = 0.0

@@ -125,7 +125,7 @@ def test_clay_is_made_baked_played_and_exported(
     mesh = trimesh.load(shape)
     assert isinstance(mesh, trimesh.Trimesh)
     assert mesh.is_watertight
-    # STL is in millimetres, as printers read it.
+    # STL is in millimeters, as printers read it.
     assert mesh.volume == pytest.approx(64e3, rel=0.01)
 
     played = blender.run_script(PLAY, scene=scene_file)

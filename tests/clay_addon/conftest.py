@@ -40,7 +40,7 @@ class Studio:
         return bpy.context.object
 
     def clay(self, name: str = "Clay", **block: Any) -> Any:
-        """Add a block of clay with 64 particles at a spacing of one centimetre."""
+        """Add a block of clay with 64 particles at a spacing of one centimeter."""
         from tactile_clay.clay_addon.clay.make_clay import make_clay
 
         return make_clay(bpy.context, [self.block(**block)], spacing=0.01, name=name)
@@ -147,5 +147,5 @@ def leap_recording(request: pytest.FixtureRequest) -> Any:
 
 @pytest.fixture
 def mouse() -> Mouse:
-    """A mouse with a brush over a block of clay of ten centimetres."""
+    """A mouse with a brush over a block of clay of ten centimeters."""
     return Mouse()

@@ -19,7 +19,7 @@ class View:
 
     Args:
         toward: Direction from the scene to the eye, shape [3].
-        centre: What is in the middle of the picture [m], shape [3].
+        center: What is in the middle of the picture [m], shape [3].
         width: Of what the picture shows [m].
         size: Width and height of the picture [pixels].
     """
@@ -27,7 +27,7 @@ class View:
     def __init__(
         self,
         toward: NDArray[np.float64],
-        centre: NDArray[np.float64],
+        center: NDArray[np.float64],
         width: float,
         size: tuple[int, int],
     ) -> None:
@@ -35,13 +35,13 @@ class View:
         self.right = np.cross((0.0, 0.0, 1.0), self.toward)
         self.right /= np.linalg.norm(self.right)
         self.up = np.cross(self.toward, self.right)
-        self.centre = centre
+        self.center = center
         self.size = size
         self.scale = size[0] / width
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Column and row [pixels], and height towards the eye [m], shape [..., 3]."""
-        offset = points - self.centre
+        offset = points - self.center
         return np.stack(
             [
                 0.5 * self.size[0] + offset @ self.right * self.scale,
@@ -52,10 +52,10 @@ class View:
         )
 
     def rays(self) -> NDArray[np.float64]:
-        """A point on each pixel's ray, in the plane through the centre [m], shape [H, W, 3]."""
+        """A point on each pixel's ray, in the plane through the center [m], shape [H, W, 3]."""
         columns = (np.arange(self.size[0]) + 0.5 - 0.5 * self.size[0]) / self.scale
         rows = (0.5 * self.size[1] - np.arange(self.size[1]) - 0.5) / self.scale
-        return self.centre + rows[:, None, None] * self.up + columns[None, :, None] * self.right
+        return self.center + rows[:, None, None] * self.up + columns[None, :, None] * self.right
 
 
 def draw_balls(
@@ -95,7 +95,7 @@ def draw_incline(
         box: Where it begins and ends along x, and half its breadth [m].
 
     Returns:
-        Height towards the eye [m], -inf where it is not, normals and linear colours, per pixel.
+        Height towards the eye [m], -inf where it is not, normals and linear colors, per pixel.
     """
     begin, end, breadth = box
     foot = -end * math.tan(angle)
@@ -155,7 +155,7 @@ def shade(
     seen = np.isfinite(height)
     place = view.rays() + np.where(seen, height, 0.0)[..., None] * view.toward
 
-    lamp = View(SUN, view.centre, 1.6 * view.size[0] / view.scale, (900, 900))
+    lamp = View(SUN, view.center, 1.6 * view.size[0] / view.scale, (900, 900))
     shadow_map, _ = draw_balls(lamp, points, radius)
     spot = lamp.project(place)
     lit = np.zeros(seen.shape)

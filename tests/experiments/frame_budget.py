@@ -69,7 +69,7 @@ class Ball:
     def poses(
         self, duration: float, positions: NDArray[np.float32]
     ) -> list[tuple[NDArray[np.float64], bool]]:
-        """Down by a centimetre and up again, each second."""
+        """Down by a centimeter and up again, each second."""
         self._time += duration
         pose = np.eye(4)
         pose[2, 3] = self._top + 0.012 - 0.005 * (1.0 - np.cos(2.0 * np.pi * self._time))

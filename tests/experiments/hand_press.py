@@ -16,7 +16,7 @@ from .shapes import at, block
 
 YOUNG_MODULUS = 5e4
 _PENALTY = 1.2e8
-"""How stiffly the plate pushes ghosts out [Pa/m]: they enter it by a tenth of a millimetre."""
+"""How stiffly the plate pushes ghosts out [Pa/m]: they enter it by a tenth of a millimeter."""
 
 
 def press_flat(

@@ -22,7 +22,7 @@ def find_inside(mesh: wp.uint64, points: wp.array[wp.vec3], inside: wp.array[int
 def lattice(
     vertices: NDArray, faces: NDArray, edge: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Cover a closed mesh with tetrahedra of a body-centred cubic lattice.
+    """Cover a closed mesh with tetrahedra of a body-centered cubic lattice.
 
     Returns:
         Nodes [m], shape [N, 3], and tetrahedra of positive volume, shape [T, 4].

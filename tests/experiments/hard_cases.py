@@ -185,7 +185,7 @@ def deterministic() -> HardCase:
 
 
 def far_from_origin(distance: float = 10.0) -> HardCase:
-    """Rest ten metres from the origin, where float32 resolves a micrometre."""
+    """Rest ten meters from the origin, where float32 resolves a micrometer."""
     scene = Scene(SPACING)
     scene.add_clay(block(5, SPACING, (distance, distance, distance)), Material())
     scene.add_plane((0, 0, distance))
@@ -227,7 +227,7 @@ def scaled(scale: float) -> HardCase:
         )
     return replace(
         results[1],
-        note=f"centre at {heights[1]:.4f} of its height before, {heights[0]:.4f} at scale 1",
+        note=f"center at {heights[1]:.4f} of its height before, {heights[0]:.4f} at scale 1",
     )
 
 
@@ -284,7 +284,7 @@ CASES: list[tuple[str, Callable[[], HardCase]]] = [
     ("tool jumps inside", tool_jumps_inside),
     ("block inside a tool", inside_a_tool),
     ("tool without thickness", flat_tool),
-    ("tool of a micrometre", thin_tool),
+    ("tool of a micrometer", thin_tool),
     ("tool at 2 m/s", lambda: fast_tool(2.0)),
     ("tool at 20 m/s", fast_tool),
     ("no gravity", without_gravity),

@@ -68,7 +68,7 @@ def flat_tool() -> HardCase:
 
 
 def thin_tool(thickness: float = 1e-6) -> HardCase:
-    """Press a plate a micrometre thick into a block."""
+    """Press a plate a micrometer thick into a block."""
     scene = on_table(block(6, SPACING))
     box = trimesh.creation.box((0.02, 0.02, thickness))
     plate = scene.add_mesh(box.vertices, box.faces)

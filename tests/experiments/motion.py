@@ -21,7 +21,7 @@ class Spin:
     spin_change_per_step: float
     """Largest relative change of angular momentum in a step."""
     radius_ratio: float
-    """Farthest particle from the centre, after over before."""
+    """Farthest particle from the center, after over before."""
 
 
 def spin(
@@ -66,7 +66,7 @@ class Collision:
 
 
 def collision(speed: float = 0.5, *, settings: Settings | None = None) -> Collision:
-    """Let two blocks of different density meet off-centre without gravity."""
+    """Let two blocks of different density meet off-center without gravity."""
     spacing = 0.005
     heavy, light = Material(density=2000.0), Material(density=1000.0)
     left = block(5, spacing, (-0.02, 0.0, 0.0))

@@ -15,7 +15,7 @@ def pieces(
 
     Args:
         points: Particle positions [m], shape [N, 3].
-        spacing: Distance of neighbouring particles at rest [m].
+        spacing: Distance of neighboring particles at rest [m].
         reach: Widest gap within a piece, in spacings.
 
     Returns:

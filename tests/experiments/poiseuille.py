@@ -69,7 +69,7 @@ def poiseuille(
     """
     spacing = depth / layers
     counts = (5 * layers, 5, layers)
-    # The lowest particles stick to the bed: the layer that shears ends at their centres, its
+    # The lowest particles stick to the bed: the layer that shears ends at their centers, its
     # surface is half a spacing above the highest.
     deep = depth - 0.5 * spacing
     along = stress / (DENSITY * deep)

@@ -27,7 +27,7 @@ class Squeeze:
     surface_change: float
     """Change of the volume inside the reconstructed surface, over the volume."""
     density_change: float
-    """Change of the mean number of neighbours within two spacings of inner particles, over it."""
+    """Change of the mean number of neighbors within two spacings of inner particles, over it."""
     pieces: int
     """What the block is in at the end."""
     shortening: float

@@ -30,7 +30,7 @@ class HardCase:
     quarantined: int
     """Particles held because their state was not finite."""
     overflow: int
-    """Neighbours that found no room."""
+    """Neighbors that found no room."""
     teleported: int
     """Jumps of colliders."""
     note: str

@@ -61,7 +61,7 @@ def test_without_friction_it_slides(results: dict):
 def test_picture_shows_four_variants(
     results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Draw each variant in its colour, side by side."""
+    """Draw each variant in its color, side by side."""
     monkeypatch.setattr(ablation_picture, "PANEL", (176, 132))
     path = tmp_path / "ablation.png"
     draw_ablation(list(results.values()), path)

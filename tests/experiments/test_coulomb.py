@@ -26,6 +26,6 @@ def test_sliding_block_stops_after_v_squared_over_two_mu_g(speed: float, frictio
 
 
 @pytest.mark.parametrize("degrees", [15.0, 25.0])
-def test_sticking_block_creeps_less_than_a_millimetre_a_minute(degrees: float):
+def test_sticking_block_creeps_less_than_a_millimeter_a_minute(degrees: float):
     """Hold still on an incline below arctan μ, 26.6°."""
     assert creep(math.radians(degrees), friction=0.5, duration=1.0) < 1e-3 / 60

@@ -10,7 +10,7 @@ from tactile_clay.tests.experiments.hand_shapes import finger
 from tactile_clay.tests.experiments.shapes import at
 
 CONVERGED = {0.002: 1.142, 0.003: 2.795}
-"""Force of a press of so many metres on a lattice of 3 mm [N]; 4 mm gives 1.21 and 2.91."""
+"""Force of a press of so many meters on a lattice of 3 mm [N]; 4 mm gives 1.21 and 2.91."""
 
 
 @pytest.mark.parametrize("depth", list(CONVERGED))

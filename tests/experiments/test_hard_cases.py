@@ -80,7 +80,7 @@ def test_an_impact_flattens_and_stays_above_the_table():
     assert heights.max() < 4 * SPACING
 
 
-def test_a_ball_at_two_metres_a_second_passes_through_nothing():
+def test_a_ball_at_two_meters_a_second_passes_through_nothing():
     """Sweep a ball through a block: no particle is ever inside it."""
     scene = on_table(block(6, SPACING))
     sphere = ball(0.012)

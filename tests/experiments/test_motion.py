@@ -23,7 +23,7 @@ def test_free_spin_keeps_momentum_and_shape():
 
 
 def test_collision_of_different_densities_keeps_momentum():
-    """Conserve linear and angular momentum when two blocks meet off-centre."""
+    """Conserve linear and angular momentum when two blocks meet off-center."""
     result = motion.collision()
     assert result.momentum_change < 1e-5
     assert result.momentum_change_per_step < 1e-5

@@ -130,7 +130,7 @@ def test_quick_report_is_written_whole(tmp_path: Path):
         assert (tmp_path / name).stat().st_size > 10_000
     assert set(data["qualities"]) == {"draft", "live", "film"}
     assert all(run["core_ms_per_frame"] > 0 for run in data["sweep"])
-    assert {cell["behaviour"] for cell in data["stability"]["cells"]} <= {
+    assert {cell["behavior"] for cell in data["stability"]["cells"]} <= {
         "stable",
         "jitter",
         "blown up",

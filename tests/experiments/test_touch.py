@@ -29,7 +29,7 @@ def test_weights_serve_finger_pads(hand: touch.Hand, tmp_path: Path):
     assert (tmp_path / "weights.png").stat().st_size > 20_000
 
 
-def test_true_minimiser_reconstructs_better_than_the_printed_form(hand: touch.Hand):
+def test_true_minimizer_reconstructs_better_than_the_printed_form(hand: touch.Hand):
     """Miss the pressure by less with Σ p* G / Σ G² on every contact, of any size."""
     for result in touch.compare_rules(hand):
         assert result.true.error < 0.95 * result.printed.error

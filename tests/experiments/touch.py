@@ -274,14 +274,14 @@ def ball_contacts(radius: float, depth: float, force: float) -> Contacts:
 
 @dataclass(frozen=True)
 class RuleComparison:
-    """Equation 9 as printed, and its true minimiser, on one contact."""
+    """Equation 9 as printed, and its true minimizer, on one contact."""
 
     contact: str
     """What is touched."""
     focus_count: int
     """Foci used."""
     true: Misfit
-    """With the minimiser."""
+    """With the minimizer."""
     printed: Misfit
     """As printed."""
     gain: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pictures of touch: hands seen from the palm's side, coloured by pressure."""
+"""The pictures of touch: hands seen from the palm's side, colored by pressure."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def draw_scale(
     *,
     colors: LinearSegmentedColormap = HEAT,
 ) -> None:
-    """Draw what the colours mean, beside panels."""
+    """Draw what the colors mean, beside panels."""
     bar = picture.colorbar(
         ScalarMappable(Normalize(0.0, top), colors), ax=list(axes), shrink=0.6, pad=0.01, aspect=24
     )

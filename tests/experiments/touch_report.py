@@ -106,9 +106,9 @@ def _materials(folder: Path) -> list[str]:
 
 def _rules(hand: Hand) -> list[str]:
     return [
-        "### Equation 9: as printed, and its minimiser",
+        "### Equation 9: as printed, and its minimizer",
         "",
-        "| contact | foci | error, minimiser | error, as printed | printed is too small by |",
+        "| contact | foci | error, minimizer | error, as printed | printed is too small by |",
         "|---|---|---|---|---|",
         *(
             f"| {r.contact} | {r.focus_count} | {r.true.error:.1%} | {r.printed.error:.1%} "

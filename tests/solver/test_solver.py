@@ -28,7 +28,7 @@ def pressed_scene() -> tuple[Scene, object]:
 
 
 def press_on(solver: Solver, tool, frames: range) -> None:
-    """Push the ball down, half a millimetre a frame."""
+    """Push the ball down, half a millimeter a frame."""
     for frame in frames:
         tool.set_pose(at(0.0002 * frame, 0, 0.037 - 0.0005 * frame))
         solver.step(1 / 60)

@@ -55,7 +55,7 @@ class View:
     height: int
     """Of the region [pixels]."""
     scale: float
-    """Metres in a Blender unit."""
+    """Meters in a Blender unit."""
 
     @cached_property
     def _camera(self) -> NDArray[np.float64]:

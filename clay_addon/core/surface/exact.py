@@ -17,7 +17,7 @@ Indices = NDArray[np.int64]
 
 # Lengths below are in units of the particle distance d; volumes in d^3.
 ISO_VALUE = 0.55
-"""Level of the normalised density at which a flat face and a crumb both come out nearly
+"""Level of the normalized density at which a flat face and a crumb both come out nearly
 volume-true, so that only a few hundredths of d remain to be corrected."""
 KERNEL_SUPPORT = 2.0
 CELL_SIZES = (0.35, 0.3337, 0.3681)

@@ -92,7 +92,7 @@ class TakeEdit:
     kind: str
     """What was done."""
     parameters: Mapping[str, Any]
-    """How, independent of the spacing of the clay: lengths in metres, world space."""
+    """How, independent of the spacing of the clay: lengths in meters, world space."""
 
 
 @dataclass(frozen=True)

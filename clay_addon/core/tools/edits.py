@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Changes of the clay without touch: adding, removing and painting particles.
 
-An edit is in metres, so it means the same for any spacing of the clay.
+An edit is in meters, so it means the same for any spacing of the clay.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def apply_edit(edit: Edit, positions: ArrayLike, colors: ArrayLike, spacing: flo
         edit: What to do.
         positions: Particle positions in the world [m], shape [N, 3].
         colors: Their linear RGBA, shape [N, 4].
-        spacing: Distance of neighbouring particles [m].
+        spacing: Distance of neighboring particles [m].
 
     Raises:
         ValueError: The shapes do not fit, or the spacing is not positive.

@@ -28,7 +28,7 @@ def tool_parts(settings: BrushSettings) -> list[ToolMesh]:
         settings: What the brush is set to.
 
     Returns:
-        Meshes in metres. A pose scales them when the radius changes.
+        Meshes in meters. A pose scales them when the radius changes.
     """
     tool = settings.tool
     if tool.path == "edit":

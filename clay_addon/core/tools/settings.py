@@ -45,7 +45,7 @@ class BrushSettings:
     spacing: float = 0.005
     """Distance between neighboring particles [m]."""
     scale: float = 1.0
-    """Metres in a Blender unit."""
+    """Meters in a Blender unit."""
     stamp: ToolPreset | None = None
     """The user's own stamp; None for the default one."""
     stamp_key: str = ""

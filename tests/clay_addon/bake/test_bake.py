@@ -70,9 +70,9 @@ def test_gravity_of_the_scene_and_frame_rate_decide_the_fall(studio: Any, tmp_pa
 
 
 def test_unit_scale_is_honoured(studio: Any, tmp_path: Path) -> None:
-    """Bake the same motion of a scene modelled in millimetres, a thousand times the numbers."""
+    """Bake the same motion of a scene modelled in millimeters, a thousand times the numbers."""
     studio.clay()
-    bake(bpy.context, start=1, end=3, directory=tmp_path / "metres")
+    bake(bpy.context, start=1, end=3, directory=tmp_path / "meters")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     studio.scene.unit_settings.scale_length = 0.001
     studio.scene.gravity = (0.0, 0.0, -9810.0)
@@ -80,14 +80,14 @@ def test_unit_scale_is_honoured(studio: Any, tmp_path: Path) -> None:
     from tactile_clay.clay_addon.clay.make_clay import make_clay
 
     make_clay(bpy.context, [block], spacing=10.0)
-    bake(bpy.context, start=1, end=3, directory=tmp_path / "millimetres")
-    metres = Cache(tmp_path / "metres").read_frame(3).positions
-    millimetres = Cache(tmp_path / "millimetres").read_frame(3).positions
-    np.testing.assert_allclose(millimetres, 1000.0 * metres, atol=1e-2)
+    bake(bpy.context, start=1, end=3, directory=tmp_path / "millimeters")
+    meters = Cache(tmp_path / "meters").read_frame(3).positions
+    millimeters = Cache(tmp_path / "millimeters").read_frame(3).positions
+    np.testing.assert_allclose(millimeters, 1000.0 * meters, atol=1e-2)
 
 
 def test_gravity_left_behind_by_the_unit_scale_is_told(studio: Any, tmp_path: Path) -> None:
-    """Say that clay hardly falls where the scene is in millimetres and its gravity is not."""
+    """Say that clay hardly falls where the scene is in millimeters and its gravity is not."""
     studio.clay()
     assert bake(bpy.context, start=1, end=2, directory=tmp_path).warnings == ()
     studio.scene.unit_settings.scale_length = 0.001

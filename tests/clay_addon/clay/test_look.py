@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The look of the clay: a smooth surface out of stock nodes, in the clay's own colours."""
+"""The look of the clay: a smooth surface out of stock nodes, in the clay's own colors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def empty_file() -> None:
 
 
 def block(*counts: int) -> np.ndarray:
-    """Particles of a slightly disordered block, one unit apart, centred."""
+    """Particles of a slightly disordered block, one unit apart, centered."""
     axes = [np.arange(count) - (count - 1) / 2 for count in counts]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return points + np.random.default_rng(0).normal(0, 0.04, points.shape)
@@ -42,7 +42,7 @@ def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Vertices, triangles and colours of the evaluated mesh; None where points are shown."""
+    """Vertices, triangles and colors of the evaluated mesh; None where points are shown."""
     # The geometry set owns the mesh, so it must live as long.
     geometry = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
     mesh = geometry.mesh
@@ -82,8 +82,8 @@ def test_surface_is_closed_smooth_and_in_place_at_any_spacing(spacing: float) ->
     assert vertices[middle, 2].std() < 0.05
 
 
-def test_colours_are_the_particles_and_mix_only_where_they_meet() -> None:
-    """Beyond 1.2 spacings from where two colours meet there is no trace of the other one."""
+def test_colors_are_the_particles_and_mix_only_where_they_meet() -> None:
+    """Beyond 1.2 spacings from where two colors meet there is no trace of the other one."""
     item = clay(block(8, 6, 6))
     look.add_look(item)
     mesh = shown(item)
@@ -188,8 +188,8 @@ def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("kind", ["surface", "points", "beyond the limit", "exact"])
-def test_cycles_shows_the_colours(kind: str, tmp_path: Path) -> None:
-    """Cycles renders surface and points in the clay's colours, and the surface beyond the limit."""
+def test_cycles_shows_the_colors(kind: str, tmp_path: Path) -> None:
+    """Cycles renders surface and points in the clay's colors, and the surface beyond the limit."""
     points = block(10, 6, 6)
     item = clay(points)
     modifier = look.add_look(item)
@@ -229,8 +229,8 @@ def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
     assert [item.name for item in bpy.data.materials] == [MATERIAL_NAME]
 
 
-def test_material_reads_the_colour_attribute_and_is_shared() -> None:
-    """There is one clay material; its base colour is the attribute `Color`."""
+def test_material_reads_the_color_attribute_and_is_shared() -> None:
+    """There is one clay material; its base color is the attribute `Color`."""
     material = clay_material()
     assert clay_material() == material
     shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
@@ -255,12 +255,12 @@ def test_what_is_no_clay_is_refused() -> None:
     item.data.attributes.remove(item.data.attributes["radius"])
     with pytest.raises(ValueError, match="no particle radius"):
         look.add_look(item)
-    with pytest.raises(KeyError, match="no input 'Colour'"):
-        look.set_input(look.add_look(clay(block(2, 2, 2))), "Colour", 1)
+    with pytest.raises(KeyError, match="no input 'Color'"):
+        look.set_input(look.add_look(clay(block(2, 2, 2))), "Color", 1)
 
 
 def test_surface_object_is_the_reconstruction() -> None:
-    """The mesh object has the vertices, colours and smooth shading of the surface."""
+    """The mesh object has the vertices, colors and smooth shading of the surface."""
     points = block(5, 5, 5)
     surface = reconstruct(points, 1.0, colors=np.where(points[:, :1] < 0, RED, BLUE))
     item = look.surface_object(surface, "Exact")
@@ -278,8 +278,8 @@ def test_surface_object_is_the_reconstruction() -> None:
     assert mesh.attributes["clay_spacing"].data[0].value == pytest.approx(1.0, rel=0.2)
 
 
-def test_solid_views_show_the_clays_colours() -> None:
-    """Colour solid views by attribute, other than those that somebody has set otherwise."""
+def test_solid_views_show_the_clays_colors() -> None:
+    """Color solid views by attribute, other than those that somebody has set otherwise."""
     bpy.ops.wm.read_factory_settings()
     spaces = [
         space

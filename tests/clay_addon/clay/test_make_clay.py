@@ -15,7 +15,7 @@ from tactile_clay.clay_addon.clay.meshes import ClayError
 
 
 def test_block_becomes_a_point_cloud_of_its_volume(studio: Any) -> None:
-    """Give a block volume / spacing³ particles inside it, each with radius, colour and rest."""
+    """Give a block volume / spacing³ particles inside it, each with radius, color and rest."""
     studio.block(size=0.04, location=(0.1, 0.2, 0.3))
     assert bpy.ops.clay.make(spacing=0.005) == {"FINISHED"}
     clay = bpy.context.object
@@ -78,8 +78,8 @@ def test_parented_object_is_where_it_is_seen(studio: Any) -> None:
     np.testing.assert_allclose(positions.mean(0), (1.0, 0.0, 0.0), atol=0.005)
 
 
-def test_several_pieces_make_one_clay_in_their_colours(studio: Any) -> None:
-    """Take each piece's colour from its shader, its viewport colour, or the object."""
+def test_several_pieces_make_one_clay_in_their_colors(studio: Any) -> None:
+    """Take each piece's color from its shader, its viewport color, or the object."""
     shaded, viewport, plain, bare = (
         studio.block(size=0.02, location=(0.03 * index, 0.0, 0.0)) for index in range(4)
     )
@@ -122,8 +122,8 @@ def test_touching_pieces_keep_all_their_clay(studio: Any) -> None:
     assert len(clay.data.points) == 1024
 
 
-def test_default_spacing_is_half_a_centimetre_at_any_unit_scale(studio: Any) -> None:
-    """Mean five millimetres in a scene modelled in millimetres too."""
+def test_default_spacing_is_half_a_centimeter_at_any_unit_scale(studio: Any) -> None:
+    """Mean five millimeters in a scene modelled in millimeters too."""
     assert studio.scene.tactile_clay.spacing == pytest.approx(0.005)
     studio.scene.unit_settings.scale_length = 0.001
     assert studio.scene.tactile_clay.spacing == pytest.approx(5.0)

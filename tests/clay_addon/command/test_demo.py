@@ -99,7 +99,7 @@ def test_report_has_the_figures(made: tuple[Path, subprocess.CompletedProcess[st
 def test_exported_meshes_are_closed_and_colored(
     made: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Write the same closed surface in each format, colours where the format has them."""
+    """Write the same closed surface in each format, colors where the format has them."""
     for suffix in demo.EXPORTS:
         mesh = trimesh.load(made[0] / f"kindergarten{suffix}", force="mesh")
         mesh.merge_vertices(merge_norm=True, merge_tex=True)

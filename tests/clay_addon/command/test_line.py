@@ -62,7 +62,7 @@ def test_cache_option_is_relative_to_the_shell(
 def test_export_writes_the_frame_asked_for(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Write the baked shape at a frame, in metres or millimetres, and tell its figures."""
+    """Write the baked shape at a frame, in meters or millimeters, and tell its figures."""
     assert main(["bake", str(blend)]) == 0
     lowest = []
     for frame, unit, scale in ((1, "m", 1.0), (4, "mm", 1000.0)):

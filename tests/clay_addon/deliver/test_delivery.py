@@ -136,7 +136,7 @@ def add_camera(studio: Any) -> None:
 def test_usd_plays_and_renders_with_motion_blur_where_the_addon_is_not(
     studio: Any, tmp_path: Path
 ) -> None:
-    """Each frame has its own topology, place and colour, and blurs along its velocity."""
+    """Each frame has its own topology, place and color, and blurs along its velocity."""
     frames = moving_bake(studio, tmp_path)
     add_camera(studio)
     result = deliver(bpy.context, points=True)
@@ -215,7 +215,7 @@ def test_held_shapes_are_written_once(studio: Any, tmp_path: Path) -> None:
 
 
 def test_unit_scale_is_kept(studio: Any, tmp_path: Path) -> None:
-    """In a scene of millimetres the numbers stay as they are and the file says what they mean."""
+    """In a scene of millimeters the numbers stay as they are and the file says what they mean."""
     studio.scene.unit_settings.scale_length = 0.001
     block = studio.block(size=40.0, location=(0, 0, 30))
     from tactile_clay.clay_addon.clay.make_clay import make_clay

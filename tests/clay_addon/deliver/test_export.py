@@ -36,7 +36,7 @@ SPACING = 0.005
 
 @pytest.fixture(scope="module")
 def surface() -> Surface:
-    """A coloured slab, three times as wide as it is high, whose middle is at (0.2, -0.1, 0.3)."""
+    """A colored slab, three times as wide as it is high, whose middle is at (0.2, -0.1, 0.3)."""
     axes = [np.arange(count) - (count - 1) / 2 for count in (12, 8, 4)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     colors = np.where(points[:, :1] < 0, RED, BLUE)
@@ -50,7 +50,7 @@ def srgb(linear: Any) -> np.ndarray:
 
 
 def read(path: Path) -> trimesh.Trimesh:
-    """Read the one mesh of a file; in metres where the file says its unit."""
+    """Read the one mesh of a file; in meters where the file says its unit."""
     if path.suffix == ".3mf":
         return read_3mf(path)
     loaded = trimesh.load(path)
@@ -60,7 +60,7 @@ def read(path: Path) -> trimesh.Trimesh:
 
 
 def read_3mf(path: Path) -> trimesh.Trimesh:
-    """Read a 3MF by its specification: a mesh in metres, with the colours of its corners."""
+    """Read a 3MF by its specification: a mesh in meters, with the colors of its corners."""
     core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
     material = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
     with zipfile.ZipFile(path) as archive:
@@ -115,10 +115,8 @@ def test_axes_are_those_of_blenders_exporters(
 
 
 @pytest.mark.parametrize("suffix", [".3mf", ".obj", ".ply", ".glb"])
-def test_colours_are_in_the_formats_own_space(
-    suffix: str, surface: Surface, tmp_path: Path
-) -> None:
-    """3MF, OBJ and PLY hold sRGB, GLB linear colours; both ends of the slab are right to 1 %."""
+def test_colors_are_in_the_formats_own_space(suffix: str, surface: Surface, tmp_path: Path) -> None:
+    """3MF, OBJ and PLY hold sRGB, GLB linear colors; both ends of the slab are right to 1 %."""
     mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
     visual = mesh.visual
     stored = visual.vertex_attributes["color"] if suffix == ".glb" else visual.vertex_colors
@@ -130,7 +128,7 @@ def test_colours_are_in_the_formats_own_space(
 
 
 def imported(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """World vertices and linear colours as Blender's own importer reads a file."""
+    """World vertices and linear colors as Blender's own importer reads a file."""
     before = set(bpy.data.objects)
     operator = {
         ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
@@ -160,10 +158,10 @@ def imported(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".glb"])
-def test_blender_imports_the_same_place_and_colours(
+def test_blender_imports_the_same_place_and_colors(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """Blender's importers with default settings bring back place, size and colours."""
+    """Blender's importers with default settings bring back place, size and colors."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     vertices, colors = imported(write_mesh(surface, tmp_path / f"clay{suffix}"))
     np.testing.assert_allclose(vertices.min(axis=0), surface.vertices.min(axis=0), atol=1e-5)
@@ -199,7 +197,7 @@ def test_glb_has_unit_normals_everywhere(surface: Surface, tmp_path: Path) -> No
 
 
 def test_glb_is_not_of_metal(surface: Surface, tmp_path: Path) -> None:
-    """Coloured or not, a GLB file has a rough material without metal."""
+    """Colored or not, a GLB file has a rough material without metal."""
     for item in (surface, Surface(surface.vertices, surface.faces)):
         material = read(write_mesh(item, tmp_path / "clay.glb")).visual.material
         assert material.metallicFactor == 0
@@ -218,15 +216,15 @@ def test_obj_keeps_single_precision_at_any_size(
 
 
 @pytest.mark.parametrize("suffix", export.SUFFIXES)
-def test_colourless_surface_is_written(suffix: str, surface: Surface, tmp_path: Path) -> None:
-    """A surface without colours gives a file without colours."""
+def test_colorless_surface_is_written(suffix: str, surface: Surface, tmp_path: Path) -> None:
+    """A surface without colors gives a file without colors."""
     mesh = read(write_mesh(Surface(surface.vertices, surface.faces), tmp_path / f"clay{suffix}"))
     assert mesh.is_watertight
     assert mesh.visual.kind != "vertex"
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
-def test_millimetres_are_a_thousand_times_larger(
+def test_millimeters_are_a_thousand_times_larger(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
     """The unit scales the numbers in the file."""
@@ -240,7 +238,7 @@ def test_millimetres_are_a_thousand_times_larger(
         ("clay.fbx", "m", r"'\.fbx'.*\.stl, \.3mf, \.obj, \.ply, \.glb"),
         ("clay", "m", "without a suffix"),
         ("clay.stl", "inch", "m, mm"),
-        ("clay.glb", "mm", "always in metres"),
+        ("clay.glb", "mm", "always in meters"),
         ("nowhere/clay.stl", "m", "does not exist"),
         ("folder.stl", "m", "is a folder"),
     ],
@@ -341,7 +339,7 @@ def test_clay_is_exported_where_it_stands(studio: Any, tmp_path: Path) -> None:
 
 
 def test_scene_unit_is_honoured(studio: Any, tmp_path: Path) -> None:
-    """In a scene of centimetres a file in metres is a hundredth as large."""
+    """In a scene of centimeters a file in meters is a hundredth as large."""
     studio.clay()
     before = export_clay(bpy.context, tmp_path / "clay.stl")["volume"]
     studio.scene.unit_settings.scale_length = 0.01
@@ -381,7 +379,7 @@ def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
 
 
 def test_operator_needs_clay(studio: Any, tmp_path: Path) -> None:
-    """Without clay the operator is greyed out and the function says so."""
+    """Without clay the operator is grayed out and the function says so."""
     assert not bpy.ops.clay.export.poll()
     with pytest.raises(ExportError, match="no clay"):
         export_clay(bpy.context, tmp_path / "clay.stl")
@@ -459,7 +457,7 @@ os._exit(0)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
 def test_memory_stays_in_proportion(tmp_path: Path) -> None:
-    """All formats with the checks take less than 5 kB a particle at their peak, colours random."""
+    """All formats with the checks take less than 5 kB a particle at their peak, colors random."""
     result = subprocess.run(
         [sys.executable, "-c", MEMORY, str(tmp_path)], capture_output=True, text=True, check=False
     )

@@ -63,7 +63,7 @@ def test_crossings_are_counted() -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 100.0])
 def test_base_is_flat_and_the_rest_is_kept(offset: float) -> None:
-    """A ball loses its cap: closed, of the right volume, standing on a disc, colours in place."""
+    """A ball loses its cap: closed, of the right volume, standing on a disc, colors in place."""
     radius, depth = 0.03, 0.004
     ball = as_surface(trimesh.creation.icosphere(subdivisions=5, radius=radius))
     colors = np.zeros((len(ball.vertices), 4), np.float32)
@@ -117,7 +117,7 @@ def test_a_notch_that_crosses_itself_is_untangled() -> None:
     assert untangle(freed) is freed
 
 
-def test_export_measures_in_real_millimetres(studio: Any, tmp_path: Any) -> None:
+def test_export_measures_in_real_millimeters(studio: Any, tmp_path: Any) -> None:
     """Whatever the scene's unit, a block of 40 mm is 40 mm in the file, and thin clay is told."""
     studio.scene.unit_settings.scale_length = 0.01
     make_clay(bpy.context, [studio.block(size=4.0, location=(0, 0, 2))], spacing=0.5)

@@ -71,7 +71,7 @@ def bend(item: Any, angle: float = 0.9) -> None:
 
 
 def test_added_hand_has_the_bones_of_openxr(studio: Any, hand: Any) -> None:
-    """Rest each bone where the default hand has it, to a hundredth of a millimetre."""
+    """Rest each bone where the default hand has it, to a hundredth of a millimeter."""
     expected = default_hand()
     rig = hand.parent.data
     assert [bone.name for bone in rig.bones] == list(expected.bone_names)
@@ -123,8 +123,8 @@ def test_poses_of_the_solver_pose_the_armature(studio: Any, hand: Any) -> None:
 
 
 @pytest.mark.parametrize("scale", [0.01, 10.0])
-def test_unit_scale_gives_metres(studio: Any, scale: float) -> None:
-    """Hand the solver metres whatever a Blender unit is."""
+def test_unit_scale_gives_meters(studio: Any, scale: float) -> None:
+    """Hand the solver meters whatever a Blender unit is."""
     studio.scene.unit_settings.scale_length = scale
     studio.scene.tactile_clay.spacing = COARSE / scale
     bpy.ops.clay.hand_add(side="LEFT", length=0.15)

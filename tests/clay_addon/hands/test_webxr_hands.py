@@ -129,7 +129,7 @@ def test_hand_is_bound_with_its_seams_welded(hand: Any) -> None:
 
 
 def test_curled_hand_is_where_blender_shows_it(hand: Any) -> None:
-    """Carry the skin to within a millimetre of Blender's, over a whole curl of the fingers."""
+    """Carry the skin to within a millimeter of Blender's, over a whole curl of the fingers."""
     rig = read_hand_rig(bpy.context, hand)
     rest = np.array([vertex.co for vertex in hand.data.vertices])
     assert np.allclose(hand.matrix_world, np.eye(4))

@@ -100,7 +100,7 @@ def world(mesh: Any) -> Any:
 
 
 def test_solver_sees_the_collider_where_blender_shows_it(studio: Any) -> None:
-    """Pass on location, turn, uneven and mirrored scale, in metres at any unit scale."""
+    """Pass on location, turn, uneven and mirrored scale, in meters at any unit scale."""
     studio.scene.unit_settings.scale_length = 0.5
     studio.clay()
     tool = make_collider(studio.block(size=1.0))

@@ -258,5 +258,5 @@ def test_animation_render_shows_each_frame(studio: Any, tmp_path: Path) -> None:
         image = bpy.data.images.load(str(tmp_path / f"picture_{frame:04d}.png"))
         opacity = np.array(image.pixels).reshape(160, 160, 4)[:, :, 3]
         centers.append(float((opacity.sum(0) * np.arange(160)).sum() / opacity.sum()))
-    # Free fall at 20 m/s² for frames of 1/24 s, seen at 400 pixels a metre.
+    # Free fall at 20 m/s² for frames of 1/24 s, seen at 400 pixels a meter.
     np.testing.assert_allclose(np.diff(centers), [6.9, 20.8, 34.7], atol=1.1)

@@ -43,7 +43,7 @@ def tool_points(scene: character_scene.Character, frame: int) -> list[np.ndarray
 
 
 def test_there_is_enough_clay_for_detail(scene: character_scene.Character) -> None:
-    """Hold 12,000 to 30,000 particles in six colours."""
+    """Hold 12,000 to 30,000 particles in six colors."""
     assert 12_000 < len(scene.clay.data.points) < 30_000
     assert len(np.unique(clay_colors(scene.clay), axis=0)) == 6
 
@@ -51,7 +51,7 @@ def test_there_is_enough_clay_for_detail(scene: character_scene.Character) -> No
 def test_pellets_stick_to_the_bust_and_the_rest_lies_beside_it(
     scene: character_scene.Character,
 ) -> None:
-    """Let each colour touch the clay next to it, but for three balls that lie on the board."""
+    """Let each color touch the clay next to it, but for three balls that lie on the board."""
     points = clay_positions(scene.clay)
     assert points[:, 2].min() > 0.0
     beside = points[:, 0] > 0.75 * HEAD

@@ -100,7 +100,7 @@ def test_block_stands_on_the_cursor_ready_to_play(studio: Any) -> None:
 
 
 def test_block_takes_size_spacing_and_material(studio: Any) -> None:
-    """Do as its options say, in a scene whose unit is a centimetre, too."""
+    """Do as its options say, in a scene whose unit is a centimeter, too."""
     studio.scene.unit_settings.scale_length = 0.01
     assert bpy.ops.clay.block_add(
         size=3.0, spacing=0.5, material_preset="wax", table=False

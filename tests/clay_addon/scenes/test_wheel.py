@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The potter's wheel scene: what it is made of, and that its clay is carried round and centred."""
+"""The potter's wheel scene: what it is made of, and that its clay is carried round and centered."""
 
 from typing import Any
 
@@ -33,7 +33,7 @@ def test_scene_holds_the_particles_of_the_paper(studio: Any) -> None:
 
 
 def test_clay_starts_on_the_wheel_and_goes_round_with_it(studio: Any) -> None:
-    """Carry the lump, which is not quite centred, and lose nothing before hands touch it."""
+    """Carry the lump, which is not quite centered, and lose nothing before hands touch it."""
     built = wheel_scene.build(bpy.context)
     sample(studio.scene)
     studio.scene.frame_set(1)

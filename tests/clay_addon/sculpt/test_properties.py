@@ -16,7 +16,7 @@ from tactile_clay.clay_addon.sculpt.properties import SceneSource, stamp_fault
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
 def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> None:
-    """Begin with 12 mm whatever a Blender unit is, and read what is chosen in metres."""
+    """Begin with 12 mm whatever a Blender unit is, and read what is chosen in meters."""
     studio.scene.unit_settings.scale_length = scale
     brush = studio.scene.tactile_clay_sculpt
     assert brush.radius * scale == pytest.approx(0.012)
@@ -28,7 +28,7 @@ def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> No
 
 
 def test_a_scene_is_read_as_it_is_now(studio: Any) -> None:
-    """Take up tool, strength, mirrors, colour and the clay's spacing and place."""
+    """Take up tool, strength, mirrors, color and the clay's spacing and place."""
     clay = studio.clay(location=(0.1, 0.2, 0.3))
     brush = studio.scene.tactile_clay_sculpt
     brush.tool, brush.strength, brush.mirror_y = "KNIFE", 0.25, True
@@ -112,7 +112,7 @@ class Layout:
 @pytest.mark.parametrize("compact", [True, False])
 @pytest.mark.parametrize("tool", [tool.identifier for tool in TOOLS])
 def test_a_tool_shows_what_it_knows(studio: Any, tool: str, compact: bool) -> None:
-    """Offer a colour for clay and paint, a stamp for a stamp, and nothing for no tool."""
+    """Offer a color for clay and paint, a stamp for a stamp, and nothing for no tool."""
     brush = studio.scene.tactile_clay_sculpt
     brush.tool = tool
     drawn: list[str] = []

@@ -196,9 +196,9 @@ def test_hand_that_is_lost_touches_nothing(studio: Any, hand: Any, tmp_path: Pat
 
 
 def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
-    """Dent clay that is modelled in centimetres as in metres, and feel it at the same place."""
+    """Dent clay that is modelled in centimeters as in meters, and feel it at the same place."""
     add_array(studio)
-    metres = Cache(bake(bpy.context, directory=tmp_path / "metres").directory)
+    meters = Cache(bake(bpy.context, directory=tmp_path / "meters").directory)
     for item in studio.scene.objects:
         if item.parent is None and item.type != "POINTCLOUD":
             item.matrix_world = Matrix.Scale(100.0, 4) @ item.matrix_world
@@ -214,15 +214,15 @@ def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
     bpy.context.view_layer.update()
     studio.select(hand)
     assert bpy.ops.clay.hand_make() == {"FINISHED"}
-    centimetres = Cache(bake(bpy.context, directory=tmp_path / "centimetres").directory)
+    centimeters = Cache(bake(bpy.context, directory=tmp_path / "centimeters").directory)
     np.testing.assert_allclose(
-        centimetres.read_frame(LAST).positions,
-        100.0 * metres.read_frame(LAST).positions,
+        centimeters.read_frame(LAST).positions,
+        100.0 * meters.read_frame(LAST).positions,
         atol=0.02,
     )
     felt, known = (
         touch_record.recorded_touch(cache, LAST - 1, scale=scale)
-        for cache, scale in ((centimetres, 0.01), (metres, 1.0))
+        for cache, scale in ((centimeters, 0.01), (meters, 1.0))
     )
     np.testing.assert_allclose(felt.positions, known.positions, atol=1e-3)
     np.testing.assert_allclose(felt.pressures, known.pressures, rtol=0.05)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colour layer that shows how much touch counts on a hand."""
+"""The color layer that shows how much touch counts on a hand."""
 
 from typing import Any
 

@@ -74,7 +74,7 @@ def test_an_array_is_an_object_of_its_own_size(studio: Any) -> None:
 
 
 def test_the_object_is_where_the_sound_comes_from(studio: Any) -> None:
-    """Take place and turn from the object, in metres, and refuse one that is scaled."""
+    """Take place and turn from the object, in meters, and refuse one that is scaled."""
     assert placed_array(studio.scene) is None
     studio.scene.unit_settings.scale_length = 0.5
     item = add_array("openmpd")

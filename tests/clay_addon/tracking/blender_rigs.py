@@ -22,7 +22,7 @@ def add_hand(
             the same without parents, as the WebXR hands; "animation": bones along the fingers,
             connected, with a forearm, as animators build them.
         name: Of the object.
-        unit: Metres in a Blender unit.
+        unit: Meters in a Blender unit.
     """
     data = bpy.data.armatures.new(name)
     item = bpy.data.objects.new(name, data)

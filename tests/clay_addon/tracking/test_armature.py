@@ -79,7 +79,7 @@ def test_armature_may_stand_anywhere(studio: Any) -> None:
 
 
 def test_units_of_the_scene_are_honoured(studio: Any) -> None:
-    """Follow a hand in metres in a scene in centimetres."""
+    """Follow a hand in meters in a scene in centimeters."""
     studio.scene.unit_settings.scale_length = 0.01
     hand = seen_hand()
     heads = follow(add_hand(unit=0.01), hand)

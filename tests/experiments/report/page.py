@@ -231,7 +231,7 @@ def write_data(report: Report, folder: Path) -> None:
         "combined": [asdict(c) for c in report.combined],
         "qualities": {name: asdict(c) for name, c in report.qualities.items()},
         "stability": {
-            "cells": [asdict(c) | {"behaviour": c.behaviour.value} for c in report.cells],
+            "cells": [asdict(c) | {"behavior": c.behavior.value} for c in report.cells],
             "margin": asdict(report.room) if report.room else None,
         },
         "hard_cases": [asdict(case) for case in report.hard_cases],

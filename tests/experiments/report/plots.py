@@ -253,7 +253,7 @@ def plot_experiments(outcomes: Sequence[Outcome], path: Path) -> None:
         ncols=len(used) + 3,
         fontsize=8,
         frameon=False,
-        title="colour: substeps; size: iterations",
+        title="color: substeps; size: iterations",
         title_fontsize=8,
         labelcolor=INK,
     )  # fmt: skip
@@ -337,7 +337,7 @@ def plot_stability(
     table = np.full((len(moduli), len(substeps)), np.nan)
     for cell in cells:
         place = moduli.index(cell.shear_modulus), substeps.index(cell.substeps)
-        table[place] = order.index(cell.behaviour)
+        table[place] = order.index(cell.behavior)
     picture = _picture(7.4, 4.6)
     axes = picture.add_subplot()
     _dress(
@@ -412,7 +412,7 @@ def _margin_text(room: Margin) -> str:
 
 
 def _speed_text(cell: Cell) -> str:
-    if cell.behaviour is Behaviour.BLOWN_UP:
+    if cell.behavior is Behaviour.BLOWN_UP:
         return f"{cell.max_speed:.1f} m/s" if math.isfinite(cell.max_speed) else "—"
     return f"{1e3 * cell.rms_speed:.0e}".replace("e-0", "e-") + " mm/s"
 

@@ -44,7 +44,7 @@ class Cell:
     """Substeps in a frame of 1/60 s."""
     shear_modulus: float
     """[Pa]."""
-    behaviour: Behaviour
+    behavior: Behaviour
     """What the clay did."""
     rms_speed: float
     """Root-mean-square speed at the end [m/s]."""
@@ -84,12 +84,12 @@ def run_cell(substeps: int, shear_modulus: float, settings: Settings) -> Cell:
     figures = solver.diagnostics()
     rms = math.sqrt(float(np.mean(squares[-12:])))
     if not fastest < EJECTED_SPEED or figures.quarantined or figures.clamped:
-        behaviour = Behaviour.BLOWN_UP
+        behavior = Behaviour.BLOWN_UP
     elif rms > JITTER_SPEED:
-        behaviour = Behaviour.JITTER
+        behavior = Behaviour.JITTER
     else:
-        behaviour = Behaviour.STABLE
-    return Cell(substeps, shear_modulus, behaviour, rms, fastest)
+        behavior = Behaviour.STABLE
+    return Cell(substeps, shear_modulus, behavior, rms, fastest)
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def margin(cells: list[Cell], settings: Settings, shear_modulus: float) -> Margi
     def reach(line: list[Cell], measure: str, start: float) -> tuple[float, bool]:
         last = start
         for cell in line:
-            if cell.behaviour is not Behaviour.STABLE:
+            if cell.behavior is not Behaviour.STABLE:
                 return last / start, True
             last = getattr(cell, measure)
         return last / start, False

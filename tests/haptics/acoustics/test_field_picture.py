@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of the sound: the plane of the palm, the pressure on it, and its colours."""
+"""Pictures of the sound: the plane of the palm, the pressure on it, and its colors."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_picture_is_the_field() -> None:
     assert values[row, column] == pytest.approx(abs(acoustic_field(array, drive, place))[0])
 
 
-def test_colours_grow_brighter() -> None:
+def test_colors_grow_brighter() -> None:
     """Paint more pressure brighter, from nothing to the largest and beyond."""
     colors = pressure_colors(np.linspace(0.0, 1500.0, 40), 1000.0)
     bright = colors[:, :3].sum(axis=1)

@@ -31,7 +31,7 @@ def test_presets_are_those_there_are():
     ],
 )
 def test_preset_has_its_geometry(name, count, width, phases, amplitudes):
-    """Lay out as many transducers as wide as the device has, with its steps, centred."""
+    """Lay out as many transducers as wide as the device has, with its steps, centered."""
     array = TransducerArray.preset(name)
     assert array.count == count
     assert np.ptp(array.positions[:, 0]) == pytest.approx(width)

@@ -29,7 +29,7 @@ def ones(points):
     return np.ones(len(points))
 
 
-def test_two_blobs_get_a_focus_each_at_their_weighted_centres():
+def test_two_blobs_get_a_focus_each_at_their_weighted_centers():
     """Put foci where blobs' α p* balances, and give each blob's points to its own."""
     points = skin()
     pressures = blob(points, -0.021, 0.003, 0.007) + blob(points, 0.018, -0.01, 0.006, 300.0)
@@ -39,13 +39,13 @@ def test_two_blobs_get_a_focus_each_at_their_weighted_centres():
     left = points[:, 0] < 0
     for side in (left, ~left):
         mass = (weights * pressures)[side]
-        centre = mass @ points[side] / mass.sum()
-        assert np.linalg.norm(foci.positions - centre, axis=1).min() < 0.15e-3
+        center = mass @ points[side] / mass.sum()
+        assert np.linalg.norm(foci.positions - center, axis=1).min() < 0.15e-3
     which = foci.assignment[np.argmin(np.abs(points[:, 0] + 0.021) + np.abs(points[:, 1] - 0.003))]
     assert foci.positions[which, 0] < 0
 
 
-def test_pressures_are_the_minimiser_of_equation_nine():
+def test_pressures_are_the_minimizer_of_equation_nine():
     """Leave no slope of the squared error in any focus's pressure."""
     points = skin()
     pressures = blob(points, 0, 0, 0.03) + blob(points, 0.01, 0.02, 0.01)

@@ -60,7 +60,7 @@ def test_stops_serve_all_points():
 
 
 def test_a_known_tour_takes_further_stops_in():
-    """Keep a tour that is known as good, and put new stops beside their neighbours."""
+    """Keep a tour that is known as good, and put new stops beside their neighbors."""
     angle = np.arange(20) * 0.1 * np.pi
     ring = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
     order = np.concatenate([np.arange(0, 20, 2), np.arange(1, 20, 2)])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Run in autd3's environment: its GS-PAT for sets of foci, and its emulator's field of drives.
 
-``python autd3_field.py SCENE.npz RESULT.npz``. Lengths there are millimetres, here metres.
+``python autd3_field.py SCENE.npz RESULT.npz``. Lengths there are millimeters, here meters.
 """
 
 import sys

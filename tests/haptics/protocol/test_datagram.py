@@ -92,7 +92,7 @@ def test_any_change_is_refused(data: st.DataObject) -> None:
 
 
 def forged(head: tuple[int, ...], body: bytes) -> bytes:
-    """A datagram with a right checksum and a head of one's own."""
+    """A datagram with a right checksum and an arbitrary header."""
     data = struct.pack("<4sBBBBIIQQ", b"TCFP", *head) + body
     return data + struct.pack("<I", zlib.crc32(data))
 

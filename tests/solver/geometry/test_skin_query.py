@@ -20,7 +20,7 @@ def test_depth_and_nearest_corner_of_a_box() -> None:
 
 
 def test_far_from_the_origin_depths_stay_exact() -> None:
-    """Keep micrometres for a hand that stands a kilometre from the origin."""
+    """Keep micrometers for a hand that stands a kilometer from the origin."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.01)
     offset = np.array([1000.0, -500.0, 20.0])
     query = SkinQuery(ball.vertices + offset, ball.faces.astype(np.int32))

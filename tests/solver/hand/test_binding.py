@@ -54,7 +54,7 @@ def outer_vertices(hand: SkinnedHand, finger: str) -> np.ndarray:
 
 
 def test_binding_is_exact_at_rest(hand: SkinnedHand, rig: HandRig) -> None:
-    """Carry skin and ghosts to where they are within a nanometre, a thousandth of what is asked."""
+    """Carry skin and ghosts to where they are within a nanometer, a thousandth of what is asked."""
     assert np.abs(rig.carried_vertices(rig.nodes) - hand.vertices).max() < 1e-9
     assert np.abs(rig.carried_ghosts(rig.nodes) - ghosts_on(rig, hand.vertices)).max() < 1e-9
     np.testing.assert_allclose(rig.skinned_nodes({}), rig.nodes, atol=1e-12)
@@ -164,7 +164,7 @@ def test_nodes_follow_four_bones_at_most(rig: HandRig) -> None:
 def test_ghosts_stay_on_the_skin_over_a_full_curl(
     hand: SkinnedHand, rig: HandRig, share: float
 ) -> None:
-    """Keep ghosts on the linearly skinned skin: half a millimetre in the median in a fist."""
+    """Keep ghosts on the linearly skinned skin: half a millimeter in the median in a fist."""
     errors = ghost_errors(hand, rig, pose_bones(curled(share)))
     assert np.median(errors) < 1e-4 + 4e-4 * share
     assert np.percentile(errors, 99) < 1e-3 + 3e-3 * share
@@ -215,7 +215,7 @@ def test_rest_pose_may_have_fingers_that_touch(hand: SkinnedHand, pose: Any) -> 
     closed = reposed(hand, pose)
     rig = bind_hand(closed, clay_spacing=0.012, cell=0.014)
     errors = ghost_errors(closed, rig, pose_bones("flat"))
-    # Across a third of a full turn a coarse lattice is worse; a glued finger is off by centimetres.
+    # Across a third of a full turn a coarse lattice is worse; a glued finger is off by centimeters.
     assert np.median(errors) < 5e-4
     assert np.percentile(errors, 99) < 0.012
     assert errors.max() < 0.025
@@ -266,7 +266,7 @@ def test_binding_is_repeatable(hand: SkinnedHand, rig: HandRig) -> None:
 
 
 def test_non_uniform_scale_and_distance_are_honoured(hand: SkinnedHand) -> None:
-    """Bind a hand that is stretched and stands ten metres away, and pose it as exactly."""
+    """Bind a hand that is stretched and stands ten meters away, and pose it as exactly."""
     stretch = np.diag([1.2, 0.8, 1.5, 1.0])
     stretch[:3, 3] = 10.0, -10.0, 5.0
     stretched = replace(

@@ -63,7 +63,7 @@ def test_volume_is_that_of_an_adult_hand(hand: trimesh.Trimesh) -> None:
 
 
 def test_triangles_are_even(hand: trimesh.Trimesh) -> None:
-    """Give triangles of a few millimetres without slivers."""
+    """Give triangles of a few millimeters without slivers."""
     edges = hand.edges_unique_length
     assert len(hand.faces) < 9000
     assert 0.003 < edges.mean() < 0.0045
@@ -131,7 +131,7 @@ def test_flat_fingers_stay_apart() -> None:
 
 
 def test_pinch_brings_thumb_and_index_together() -> None:
-    """Bring the two tips within some millimetres without fusing them."""
+    """Bring the two tips within some millimeters without fusing them."""
     hand, shape = mesh_of(pose="pinch"), hand_shape(pose="pinch")
     thumb, index = shape.joints["thumb_tip"], shape.joints["index_tip"]
     between = thumb + np.linspace(0.0, 1.0, 200)[:, None] * (index - thumb)

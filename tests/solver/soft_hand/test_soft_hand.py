@@ -41,7 +41,7 @@ def over_a_block(
 
 
 def press(solver: Solver, hand: Hand, start: float, frames: range) -> None:
-    """Push the finger down, a millimetre a frame and a little aside."""
+    """Push the finger down, a millimeter a frame and a little aside."""
     for frame in frames:
         pose = at(0.0001 * frame, 0, start - 0.001 * (frame + 1))
         hand.set_bones(posed(hand.rig, pose))
@@ -307,7 +307,7 @@ def test_a_fast_finger_does_not_tunnel(rig: HandRig, speed: float):
 
 
 def test_a_hand_that_jumps_into_clay_moves_it_out_gently_and_feels_nothing_meanwhile(rig: HandRig):
-    """Push out what it covers at no more than half a metre a second, then feel it."""
+    """Push out what it covers at no more than half a meter a second, then feel it."""
     scene, hand = over_a_block(rig)
     solver = Solver(scene)
     solver.step(FRAME)

@@ -6,7 +6,7 @@ UTF-8 text with a wrist's line and one of 21 landmarks for each hand (its CONNEC
     Right wrist:, x, y, z, qx, qy, qz, qw
     Right landmarks:, x, y, z, … (21 points in the wrist's own axes)
 
-Metres in Unity's left-handed axes, X right, Y up, Z forward: the wrist's Z points to the fingers
+Meters in Unity's left-handed axes, X right, Y up, Z forward: the wrist's Z points to the fingers
 and its Y out of the back of the hand. No confidence is given.
 """
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hands from the Leap service's JSON, protocol 6, and from files of it (LeapJS Playback).
 
-Millimetres and microseconds, Y up, +Z towards the person; joints mcp, pip, dip and tip of each
+Millimeters and microseconds, Y up, +Z towards the person; joints mcp, pip, dip and tip of each
 finger, and the palm. Older services give neither wrist nor metacarpals; those are derived.
 """
 

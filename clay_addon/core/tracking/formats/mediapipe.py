@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Hands in space from MediaPipe's landmarks of a picture.
 
-MediaPipe gives each hand twice: where its 21 landmarks are in the picture, and a hand in metres
+MediaPipe gives each hand twice: where its 21 landmarks are in the picture, and a hand in meters
 about its own middle. Laid in front of a camera so that it covers the picture's landmarks, the hand
 gets its place in space. What it gets no better than MediaPipe guesses it is its distance, and its
 size, which breathes: retargeting lays it on bones of fixed length.

@@ -2,7 +2,7 @@
 """Ultraleap's LeapC library as a source of hands, by ctypes.
 
 From the documented interface of LeapC (Gemini 5 and Hyperion 6): structures without gaps,
-millimetres and microseconds, Y up, each finger with four bones from its metacarpal to its tip.
+millimeters and microseconds, Y up, each finger with four bones from its metacarpal to its tip.
 """
 
 from __future__ import annotations

@@ -171,9 +171,9 @@ def test_ctrl_turns_adding_into_taking_away(mouse: Mouse) -> None:
 
 
 def test_positions_are_in_blender_units(mouse: Mouse) -> None:
-    """Find the same place in a scene whose unit is a centimetre."""
+    """Find the same place in a scene whose unit is a centimeter."""
     mouse.press()
-    metres = mouse.ticks(30)[-1][0][0]
+    meters = mouse.ticks(30)[-1][0][0]
     small = Mouse()
     small.context.scene.unit_settings.scale_length = 0.01
     small.source.set(scale=0.01)
@@ -185,7 +185,7 @@ def test_positions_are_in_blender_units(mouse: Mouse) -> None:
     data.view_matrix, data.perspective_matrix = view, window @ view
     small.at = mouse.at
     assert small.send("LEFTMOUSE")
-    assert np.allclose(small.ticks(30)[-1][0][0], metres, atol=1e-4)
+    assert np.allclose(small.ticks(30)[-1][0][0], meters, atol=1e-4)
 
 
 def test_events_wait_for_the_tick(mouse: Mouse) -> None:

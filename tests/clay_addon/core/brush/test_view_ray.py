@@ -11,7 +11,7 @@ from tactile_clay.tests.clay_addon.core.brush.fake_mouse import look
 @pytest.mark.parametrize("perspective", [True, False])
 @pytest.mark.parametrize("scale", [1.0, 0.01])
 def test_a_ray_goes_through_what_its_pixel_shows(perspective: bool, scale: float) -> None:
-    """Pass within a micrometre of a point that was projected, in front of the origin."""
+    """Pass within a micrometer of a point that was projected, in front of the origin."""
     matrices = look((0.5, -0.7, 0.4), up=(0.0, 0.0, 1.0), persp=perspective)
     view = View(*matrices, perspective, width=800, height=600, scale=scale)
     random = np.random.default_rng(5)
@@ -27,7 +27,7 @@ def test_a_ray_goes_through_what_its_pixel_shows(perspective: bool, scale: float
 
 @pytest.mark.parametrize("perspective", [True, False])
 def test_a_pixel_has_the_size_of_what_it_shows(perspective: bool) -> None:
-    """Find neighbouring pixels' rays apart by the size of a pixel."""
+    """Find neighboring pixels' rays apart by the size of a pixel."""
     matrices = look((0.0, 0.0, 0.6), persp=perspective)
     view = View(*matrices, perspective, width=800, height=600, scale=1.0)
     plane = np.array((0.0, 0.0, 0.05)), np.array((0.0, 0.0, 1.0))

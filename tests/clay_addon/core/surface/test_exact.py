@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reconstructed surface: closed, of the right volume, smooth, in the right colours."""
+"""The reconstructed surface: closed, of the right volume, smooth, in the right colors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tactile_clay.clay_addon.core.surface.particle_grid import ParticleGrid
 
 
 def lattice(*counts: int) -> np.ndarray:
-    """Particles of a block, one unit apart, centred."""
+    """Particles of a block, one unit apart, centered."""
     axes = [np.arange(count) - (count - 1) / 2 for count in counts]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -207,8 +207,8 @@ def test_more_smoothing_flattens_the_trace_of_the_particles() -> None:
     assert spread[1] < 0.12
 
 
-def test_colours_meet_in_a_narrow_border() -> None:
-    """Beyond 0.9 d from where two colours meet no vertex carries a trace of the other."""
+def test_colors_meet_in_a_narrow_border() -> None:
+    """Beyond 0.9 d from where two colors meet no vertex carries a trace of the other."""
     points = lattice(16, 8, 8)
     red, blue = (0.8, 0.05, 0.02, 1.0), (0.02, 0.1, 0.7, 1.0)
     surface = reconstruct(points, 1.0, colors=np.where(points[:, :1] < 0, red, blue))
@@ -223,8 +223,8 @@ def test_colours_meet_in_a_narrow_border() -> None:
     )
 
 
-def test_colours_stay_within_those_of_the_particles() -> None:
-    """No vertex colour leaves the range of the particles' colours."""
+def test_colors_stay_within_those_of_the_particles() -> None:
+    """No vertex color leaves the range of the particles' colors."""
     colors = np.random.default_rng(3).uniform(0.2, 0.6, (len(SHAPES["torn"]), 4))
     tint = reconstruct(SHAPES["torn"], 1.0, colors=colors).colors
     assert tint is not None

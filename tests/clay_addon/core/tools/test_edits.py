@@ -89,7 +89,7 @@ def test_paint_blends_and_fades_out() -> None:
 
 
 def test_full_paint_covers() -> None:
-    """Leave nothing of the old colour in the middle at full strength."""
+    """Leave nothing of the old color in the middle at full strength."""
     result = apply_edit(
         Edit("paint", (0.0, 0.0, 0.0), 0.02, color=RED), block(2), np.zeros((8, 4)), SPACING
     )
@@ -114,7 +114,7 @@ def test_a_bad_edit_is_refused(values: dict, message: str) -> None:
 
 
 def test_clay_of_the_wrong_shape_is_refused() -> None:
-    """Say that positions and colours do not fit, or that the spacing is none."""
+    """Say that positions and colors do not fit, or that the spacing is none."""
     edit = Edit("add", (0.0, 0.0, 0.0), 0.01)
     with pytest.raises(ValueError, match="expected"):
         apply_edit(edit, np.zeros((3, 3)), np.zeros((2, 4)), SPACING)

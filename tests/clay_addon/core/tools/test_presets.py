@@ -115,7 +115,7 @@ def test_tools_scale_with_the_brush() -> None:
         (GOOD, "v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         (GOOD, "", "no faces"),
         (GOOD, None, "peg.obj cannot be read"),
-        (GOOD + "colour = 1\n", box_obj(), "unknown key 'colour'"),
+        (GOOD + "color = 1\n", box_obj(), "unknown key 'color'"),
         (GOOD.replace('"press"', '"push"'), box_obj(), "mode is 'push'; it must be one of press"),
         (GOOD.replace("size = 1.0", "size = 0.0"), box_obj(), "size is 0.0; it must be"),
         (GOOD.replace("0.5", "nan"), box_obj(), "friction is nan"),

@@ -38,7 +38,7 @@ class Finger:
     edits: list[Edit] = field(default_factory=list)
 
     def meshes(self) -> list[ToolMesh]:
-        """One ball of a centimetre."""
+        """One ball of a centimeter."""
         ball = trimesh.creation.icosphere(2, 0.01)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
@@ -235,8 +235,8 @@ def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpti
     np.testing.assert_array_equal(studio.points(clay), shape)
 
 
-def test_units_other_than_metres_are_honoured(studio: Any) -> None:
-    """Press as deep in a scene of centimetres as in one of metres."""
+def test_units_other_than_meters_are_honoured(studio: Any) -> None:
+    """Press as deep in a scene of centimeters as in one of meters."""
     studio.scene.unit_settings.scale_length = 0.01
     studio.scene.gravity = (0.0, 0.0, -981.0)
     clay = make_clay(bpy.context, [studio.block(size=4.0, location=(0.0, 0.0, 2.0))], spacing=1.0)
@@ -313,7 +313,7 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
 
 
 def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
-    """Change the number of particles and their colours, and go on simulating."""
+    """Change the number of particles and their colors, and go on simulating."""
     clay = studio.scene.objects["Clay"]
     sculpting.run(0.1)
     blue = (0.0, 0.0, 1.0, 1.0)
@@ -341,7 +341,7 @@ def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting)
 
 
 def test_paint_shows_on_clay_that_is_still(studio: Any, sculpting: Sculpting) -> None:
-    """Have a new surface made when only colours change."""
+    """Have a new surface made when only colors change."""
     sculpting.run(0.3)
     blue = (0.0, 0.0, 1.0, 1.0)
     sculpting.finger.edits = [Edit("paint", (0.0, 0.0, 0.03), 0.03, color=blue)]

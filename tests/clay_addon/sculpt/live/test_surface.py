@@ -58,7 +58,7 @@ def live(studio: Any) -> Iterator[Live]:
 
 
 def test_mesh_stands_for_the_clay(live: Live) -> None:
-    """Show a closed mesh in the clay's colours where the clay is, and hide the clay itself."""
+    """Show a closed mesh in the clay's colors where the clay is, and hide the clay itself."""
     assert not live.surface.show()
     assert live.tick()
     (item,) = live.stand_ins()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick surface: closed, smooth, in place, in the clay's colours, whatever the particles do."""
+"""The quick surface: closed, smooth, in place, in the clay's colors, whatever the particles do."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RED, BLUE = (0.7, 0.02, 0.02, 1.0), (0.02, 0.05, 0.7, 0.5)
 
 
 def lattice(*counts: int) -> np.ndarray:
-    """Particles of a block, one unit apart, centred."""
+    """Particles of a block, one unit apart, centered."""
     axes = [np.arange(count) - (count - 1) / 2 for count in counts]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -96,8 +96,8 @@ def test_ball_and_block_lie_where_the_clay_ends() -> None:
     assert top.std() < 0.05
 
 
-def test_colours_are_the_particles_and_mix_where_they_meet() -> None:
-    """Keep each colour beside the border, and change from one to the other without a step back."""
+def test_colors_are_the_particles_and_mix_where_they_meet() -> None:
+    """Keep each color beside the border, and change from one to the other without a step back."""
     points = disordered(lattice(16, 8, 8))
     surface = surface_of(points)
     x = surface.vertices[:, 0]
@@ -119,7 +119,7 @@ def test_nothing_has_no_surface() -> None:
 
 
 def test_particles_that_are_not_finite_are_left_out() -> None:
-    """Make the surface of the others, also where one is absurdly far or has no colour."""
+    """Make the surface of the others, also where one is absurdly far or has no color."""
     points = lattice(6, 6, 6)
     colors = np.tile(np.array(RED, np.float32), (len(points) + 4, 1))
     colors[3, 1] = np.nan

@@ -56,8 +56,8 @@ def message(*hands: Any, timestamp: Any = 5_000_000) -> dict[str, Any]:
     }
 
 
-def test_hand_is_read_in_metres_and_nanoseconds() -> None:
-    """Turn millimetres and microseconds, and find what the service does not give."""
+def test_hand_is_read_in_meters_and_nanoseconds() -> None:
+    """Turn millimeters and microseconds, and find what the service does not give."""
     (frame,) = LeapHands().read(message(leap_hand(at=(0.1, 0.25, -0.05))))
     expected = flat_hand(at=(0.1, 0.25, -0.05))
     assert (frame.side, frame.source, frame.source_time) == ("right", "leap", 5_000_000_000)

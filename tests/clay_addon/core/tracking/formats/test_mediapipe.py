@@ -18,7 +18,7 @@ from tactile_clay.tests.clay_addon.core.tracking.hands import flat_hand
 
 LANDMARKS = [WRIST, *(joint for finger in FINGERS for joint in finger[-4:])]
 WIDTH, HEIGHT, VIEW = 1280, 720, 70.0
-# Half a metre before the camera, fingers up, the palm to the camera.
+# Half a meter before the camera, fingers up, the palm to the camera.
 UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 PLACE = (0.06, -0.08, 0.5)
 

@@ -62,7 +62,7 @@ def test_tremor_at_rest_is_filtered_away(source: str) -> None:
 
 @pytest.mark.parametrize(("source", "delay"), [("leap", 0.008), ("openxr", 0.015)])
 def test_moving_hand_is_followed_closely(source: str, delay: float) -> None:
-    """Lag behind a hand moving at half a metre a second by less than so many seconds."""
+    """Lag behind a hand moving at half a meter a second by less than so many seconds."""
     way = np.zeros((200, 3))
     way[:, 1] = 0.5 * 0.01 * np.arange(200)
     seen, _ = filtered(way, SMOOTHING[source])

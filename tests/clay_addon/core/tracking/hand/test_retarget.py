@@ -142,8 +142,8 @@ def test_scale_of_the_rest_pose_is_kept() -> None:
 def test_real_recordings_keep_the_rigs_lengths(leap_recording: Path) -> None:
     """Run recordings through tracker and retargeting: finite, of constant lengths, on the person.
 
-    The lengths are constant to 1e-4 of a metre by far, and fingertips of a hand of another size
-    stay within two centimetres of the person's.
+    The lengths are constant to 1e-4 of a meter by far, and fingertips of a hand of another size
+    stay within two centimeters of the person's.
     """
     target = HandTarget(rig_bones(), "right")
     rest = bone_lengths(rig_bones(), target)

@@ -43,7 +43,7 @@ def without(positions: np.ndarray, *joints: int) -> np.ndarray:
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("size", [0.7, 1.0, 1.3])
 def test_what_is_missing_is_where_it_must_be(side: str, size: float) -> None:
-    """Find palm, wrist and metacarpals of a turned hand of another size to the micrometre."""
+    """Find palm, wrist and metacarpals of a turned hand of another size to the micrometer."""
     whole = flat_hand(side, (0.1, 0.3, -0.2), quaternion=TURN, size=size)
     found = complete_hand(without(whole[:, :3], PALM, WRIST, *METACARPALS), side)
     assert np.allclose(found[:, :3], whole[:, :3], atol=1e-6)

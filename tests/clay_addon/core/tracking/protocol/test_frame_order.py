@@ -34,7 +34,7 @@ def test_sequence_wraps() -> None:
     assert feed(order, *frames) == [True, True, True, False, True]
 
 
-def test_restarted_sender_is_recognised_at_once() -> None:
+def test_restarted_sender_is_recognized_at_once() -> None:
     """Take a sequence that began anew on a clock that went on."""
     order = FrameOrder()
     frames = [(500, 10, 110), (1, 900, 1000), (2, 910, 1010)]

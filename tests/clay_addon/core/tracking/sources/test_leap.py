@@ -41,12 +41,12 @@ class Service:
 @pytest.fixture
 def service() -> Iterator[tuple[Service, str]]:
     """A service on a port of loopback, and its address."""
-    behaviour = Service()
-    with serve(behaviour, "127.0.0.1", 0) as server:
+    behavior = Service()
+    with serve(behavior, "127.0.0.1", 0) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         port = server.socket.getsockname()[1]
-        yield behaviour, f"ws://127.0.0.1:{port}/v6.json"
+        yield behavior, f"ws://127.0.0.1:{port}/v6.json"
         server.shutdown()
         thread.join()
 
@@ -63,13 +63,13 @@ def frames(count: int) -> list[str]:
 
 def test_hands_come_from_the_service(service: tuple[Service, str]) -> None:
     """Ask for protocol 6 and for service in the background, and read what comes."""
-    behaviour, address = service
-    behaviour.frames = [*frames(3), "no json", "[1, 2]", json.dumps({"event": {}}), *frames(5)[3:]]
+    behavior, address = service
+    behavior.frames = [*frames(3), "no json", "[1, 2]", json.dumps({"event": {}}), *frames(5)[3:]]
     stream = leap_service(address, sleep=lambda _: None)
     seen = list(islice(stream, 5))
     stream.close()
-    assert behaviour.paths == ["/v6.json"]
-    assert {"background": True} in behaviour.wishes
+    assert behavior.paths == ["/v6.json"]
+    assert {"background": True} in behavior.wishes
     places = [item.frames[0].positions[WRIST, 0] for item in seen]
     assert np.allclose(places, 0.001 * np.arange(5), atol=1e-5)
     times = [item.frames[0].source_time for item in seen]
@@ -79,13 +79,13 @@ def test_hands_come_from_the_service(service: tuple[Service, str]) -> None:
 
 def test_service_may_go_and_come_back(service: tuple[Service, str]) -> None:
     """Connect again when the service closed, and say once that it is waited for."""
-    behaviour, address = service
-    behaviour.frames = frames(2)
+    behavior, address = service
+    behavior.frames = frames(2)
     said: list[str] = []
     stream = leap_service(address, sleep=lambda _: None, tell=said.append)
     seen = [item for item in islice(stream, 8) if item.frames]
     stream.close()
-    assert behaviour.connections >= 2
+    assert behavior.connections >= 2
     assert len(seen) >= 4
     assert all("waiting for it" in text for text in said)
 
@@ -102,8 +102,8 @@ def test_absent_service_is_waited_for() -> None:
 
 def test_old_protocol_is_refused(service: tuple[Service, str]) -> None:
     """Say that a service without bones must be updated."""
-    behaviour, address = service
-    behaviour.version = 1
+    behavior, address = service
+    behavior.version = 1
     with pytest.raises(TrackingError, match="protocol 1"):
         next(leap_service(address))
 
