@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -38,36 +37,17 @@ from ..model.clay_scene import (
 from ..model.collider import ColliderError, resolve_kind
 from ..model.digest import digest_of, scene_digests
 from ..wheel.wheel import is_wheel
+from .colliders import FlatCollider, MovingCollider
 from .edited_clay import EditedClay
 from .hand_motion import HandState
 from .scene_parts import check_clay, common_spacing, read_hands, simulated
 
 if TYPE_CHECKING:
-    from ...solver import MeshCollider, Scene, Solver
+    from ...solver import Scene, Solver
 
 _HELD = "scene_hand_{}_held"
 """Key of the pose that a hand holds, in a snapshot."""
 _REFUSED = "The solver cannot take this scene: {}"
-
-
-@dataclass
-class _MovingCollider:
-    """A mesh collider, as it is at the first frame."""
-
-    item: bpy.types.Object
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    stretch: NDArray[np.float64]
-    handle: MeshCollider | None = None
-
-
-@dataclass
-class _FlatCollider:
-    """An endless plane, which stands still."""
-
-    item: bpy.types.Object
-    point: NDArray[np.float64]
-    normal: NDArray[np.float64]
 
 
 class Simulation:
@@ -123,8 +103,8 @@ class Simulation:
         self.time_step = 1.0 / frames_per_second(scene)
         gravity = np.array(scene.gravity if scene.use_gravity else (0.0, 0.0, 0.0), np.float64)
         self.gravity = gravity * self.scale
-        self._planes: list[_FlatCollider] = []
-        self._meshes: list[_MovingCollider] = []
+        self._planes: list[FlatCollider] = []
+        self._meshes: list[MovingCollider] = []
         self._surfaces: dict[str, dict[str, float]] = {}
         middle = np.concatenate(self.rest).astype(np.float64).mean(0)
         for item in simulated(collider_objects(scene), depsgraph, live=live):
@@ -155,7 +135,7 @@ class Simulation:
         if kind == "MESH":
             _, stretch = rotation_and_stretch(matrix[:3, :3])
             self._meshes.append(
-                _MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
+                MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
             )
             return
         flat = flat_plane(transform(matrix, vertices))
@@ -165,7 +145,7 @@ class Simulation:
         side = float(normal @ (middle - point))
         if abs(side) < 1e-9:
             side = normal[2]
-        self._planes.append(_FlatCollider(item, point, normal if side >= 0 else -normal))
+        self._planes.append(FlatCollider(item, point, normal if side >= 0 else -normal))
 
     # What decides the result ------------------------------------------------------------------
 
@@ -228,7 +208,7 @@ class Simulation:
                 point = plane.point * self.scale
                 scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
             for part in self._meshes:
-                vertices, _ = self._state(part, depsgraph)
+                vertices, _ = part.state(depsgraph)
                 surface = self._surfaces[part.item.name]
                 part.handle = scene.add_mesh(vertices, part.triangles, **surface)
                 part.handle.set_enabled(is_enabled(part.item, depsgraph))
@@ -281,8 +261,9 @@ class Simulation:
             SimulationError: A collider did what a solver cannot follow, or a hand is gone.
         """
         self._check_followed(depsgraph)
-        self._check_planes(depsgraph)
-        states = [self._state(part, depsgraph) for part in self._meshes]
+        for plane in self._planes:
+            plane.check(depsgraph, self.spacing)
+        states = [part.state(depsgraph) for part in self._meshes]
         enabled = [is_enabled(part.item, depsgraph) for part in self._meshes]
         for part, (vertices, pose), touches in zip(self._meshes, states, enabled, strict=True):
             if part.handle is None:
@@ -394,38 +375,6 @@ class Simulation:
         velocities = (self.solver.velocities() / self.scale).astype(np.float32)
         return velocities if self.edited is None else self.edited.spread(velocities)
 
-    def _state(
-        self, part: _MovingCollider, depsgraph: bpy.types.Depsgraph
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Vertices with the object's scale in them [m], and its pose without it [m]."""
-        vertices, _ = evaluated_mesh(part.item, depsgraph)
-        if vertices.shape != part.vertices.shape:
-            raise SimulationError(
-                f"{part.item.name!r} has {len(vertices)} vertices at frame "
-                f"{self.scene.frame_current} and {len(part.vertices)} at the first frame. A "
-                "collider may deform, but the number of its vertices must stay the same."
-            )
-        matrix = np.array(part.item.evaluated_get(depsgraph).matrix_world, np.float64)
-        if not (np.isfinite(vertices).all() and np.isfinite(matrix).all()):
-            raise SimulationError(
-                f"{part.item.name!r} is not finite (NaN or infinite) at frame "
-                f"{self.scene.frame_current}."
-            )
-        rotation, stretch = rotation_and_stretch(matrix[:3, :3])
-        # Blender's matrices are single precision: without this, a tool that only turns would seem
-        # to change its shape in every frame.
-        if np.allclose(stretch, part.stretch, rtol=0.0, atol=2e-6 * np.abs(stretch).max()):
-            stretch = part.stretch
-        elif np.linalg.det(stretch) * np.linalg.det(part.stretch) <= 0.0:
-            raise SimulationError(
-                f"{part.item.name!r} is scaled flat or turned inside out at frame "
-                f"{self.scene.frame_current}. Keep its scale away from zero."
-            )
-        pose = np.eye(4)
-        pose[:3, :3] = rotation
-        pose[:3, 3] = matrix[:3, 3] * self.scale
-        return vertices @ stretch.T * self.scale, pose
-
     def _check_followed(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Refuse a state that Blender has not brought to the current frame."""
         if depsgraph.scene.original != self.scene:
@@ -433,29 +382,9 @@ class Simulation:
                 f"Another scene was chosen while {self.scene.name!r} was simulated. Choose that "
                 "one again, then Resume."
             )
-        followed: list[_FlatCollider | _MovingCollider] = [*self._planes, *self._meshes]
+        followed: list[FlatCollider | MovingCollider] = [*self._planes, *self._meshes]
         for item in (part.item for part in followed):
             if is_switched_off(item, depsgraph):
                 raise SimulationError(
                     f"At frame {self.scene.frame_current} {item.name!r} {SWITCHED_OFF}"
-                )
-
-    def _check_planes(self, depsgraph: bpy.types.Depsgraph) -> None:
-        for plane in self._planes:
-            if not is_enabled(plane.item, depsgraph):
-                raise SimulationError(
-                    f"{plane.item.name!r} does not touch the clay at frame "
-                    f"{self.scene.frame_current}, but an endless plane always does. Switch "
-                    "Touches Clay on, or give it thickness (Solidify modifier), so that it is a "
-                    "closed mesh."
-                )
-            vertices, _ = evaluated_mesh(plane.item, depsgraph)
-            matrix = plane.item.evaluated_get(depsgraph).matrix_world
-            away = (transform(matrix, vertices) - plane.point) @ plane.normal
-            # Also where it is not a number.
-            if not float(np.abs(away).max()) <= 1e-3 * self.spacing:
-                raise SimulationError(
-                    f"{plane.item.name!r} moves at frame {self.scene.frame_current}, but an "
-                    "endless plane stands still. Give it thickness (Solidify modifier), so that "
-                    "it is a closed mesh."
                 )

@@ -11,7 +11,7 @@ import pytest
 PARTS = ("clay_addon", "haptics", "solver")
 MAX_FILES = 15
 """Python files in a folder, its face included."""
-MAX_LINES = 460
+MAX_LINES = 450
 """Lines in a file: some screens."""
 PRINTING = (
     "clay_addon/command/",
