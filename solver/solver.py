@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .clay_model import ClayModel
 from .colliders.contacts import Contacts
 from .contact.law import MARGIN, ContactPass
+from .core.memory import bytes_held
 from .core.particles import Particles
 from .core.regions import Regions
 from .paper.model import PaperModel
@@ -360,7 +361,7 @@ class Solver:
         if self.scene.planes:
             passes.append(f"contact with {len(self.scene.planes)} planes")
         passes.append("motion")
-        held = _bytes_held(self, set())
+        held = bytes_held(self, set())
         lines = [
             f"{self.scene.particle_count} particles, {len(self._particles.mass)} materials, "
             f"model {self.settings.model}, device {self.device}",
@@ -435,19 +436,3 @@ class Solver:
         self.restore(state)
         # Colliders and hands are still where they were, if they have begun at all.
         self._begun = begun
-
-
-def _bytes_held(part: object, seen: set[int]) -> int:
-    """Memory of all device arrays that an object holds directly or through others [bytes]."""
-    if id(part) in seen:
-        return 0
-    seen.add(id(part))
-    if isinstance(part, wp.array):
-        return int(part.capacity)
-    if isinstance(part, list | tuple):
-        return sum(_bytes_held(item, seen) for item in part)
-    ours = type(part).__module__.startswith(__name__.rpartition(".")[0])
-    # Most arrays are in the structs that kernels take.
-    if ours or hasattr(part, "_ctype"):
-        return sum(_bytes_held(item, seen) for item in vars(part).values())
-    return 0
