@@ -13,7 +13,7 @@ def bytes_held(part: object, seen: set[int]) -> int:
         return int(part.capacity)
     if isinstance(part, list | tuple):
         return sum(bytes_held(item, seen) for item in part)
-    ours = type(part).__module__.startswith(__name__.rpartition(".")[0])
+    ours = type(part).__module__.startswith(__name__.removesuffix(".core.memory"))
     # Most arrays are in the structs that kernels take.
     if ours or hasattr(part, "_ctype"):
         return sum(bytes_held(item, seen) for item in vars(part).values())
