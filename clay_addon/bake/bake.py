@@ -15,9 +15,11 @@ import bpy
 import numpy as np
 
 from ..base.activity import ActivityKind, BusyError, clay_activity
+from ..base.clock import go_to, shown_moment
 from ..base.preferences import ADDON_VERSION
 from ..base.units import from_meters, meters_per_unit, to_meters
 from ..core.storage.cache import Cache, Frame, Meta
+from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME
 from ..deliver.object import delivered_object
 from ..model.cache_folder import owner_of
 from ..model.clay_points import SCULPTED_MARK, write_colors
@@ -198,10 +200,13 @@ def _bake_frames(
     end = default_end if end is None else end
     if end < start:
         raise BakeError(f"The range ends (frame {end}) before it starts (frame {start}).")
+    for number in (start, end):
+        if abs(number) > MAX_FRAME:
+            raise BakeError(NO_SUCH_FRAME.format(number))
     cache = bake_cache(scene, directory)
     # Take up what was done to the points since the last change of frame.
     refresh(scene)
-    previous = scene.frame_current, scene.frame_subframe
+    previous = shown_moment(scene)
     tally = _BakeTally()
     cancelled = False
     with paused(), own_touch():
@@ -247,7 +252,7 @@ def _bake_frames(
         finally:
             # Undo replaces the scene too.
             with suppress(ReferenceError):
-                scene.frame_set(previous[0], subframe=previous[1])
+                go_to(scene, previous)
     refresh(scene)
     return BakeResult(
         directory=cache.directory,

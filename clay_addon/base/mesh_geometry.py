@@ -93,13 +93,38 @@ def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float6
     return moved
 
 
-def local_from_world(item: bpy.types.Object) -> NDArray[np.float64]:
+def world_matrix(
+    item: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None
+) -> NDArray[np.float64]:
+    """Where an object is, shape [4, 4].
+
+    The matrix of the object itself is the one of the viewport: a render evaluates parents,
+    constraints and drivers in a dependency graph of its own, which leaves it as it was.
+
+    Args:
+        item: The object.
+        depsgraph: The evaluated state to take it from; the viewport's where not given.
+    """
+    source = item
+    if depsgraph is not None:
+        evaluated = item.evaluated_get(depsgraph)
+        source = evaluated if evaluated.is_evaluated else item
+    return np.array(source.matrix_world, np.float64)
+
+
+def local_from_world(
+    item: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None
+) -> NDArray[np.float64]:
     """The 4×4 matrix that brings world positions into an object's coordinates.
+
+    Args:
+        item: The object.
+        depsgraph: See `world_matrix`.
 
     Raises:
         ValueError: The object's transform cannot be undone.
     """
-    matrix = np.array(item.matrix_world, np.float64)
+    matrix = world_matrix(item, depsgraph)
     if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError(
             f"{item.name!r} is scaled to nothing or its transform is not finite. Clear its "

@@ -27,7 +27,9 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
         check_target(arguments.output, unit=arguments.unit)
         with context.temp_override(scene=scene):
             scene.frame_set(frame)
-            itself = all(plays_itself(item, frame) for item in clay_objects(scene))
+            itself = all(
+                plays_itself(item, scene.frame_current_final) for item in clay_objects(scene)
+            )
             if message(scene) and not itself:
                 raise CommandError(message(scene), EXIT_STALE)
             shown = frame if itself else shown_frame(scene)

@@ -25,6 +25,7 @@ from .words import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     Outcome,
+    joined_ranges,
     make_parser,
 )
 
@@ -62,7 +63,7 @@ def run() -> None:
 def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
     parser = make_parser(program, names_file=names_file, commands=COMMANDS)
     try:
-        arguments = parser.parse_args(list(argv))
+        arguments = parser.parse_args(joined_ranges(argv))
     except SystemExit as end:
         return int(end.code or 0)
     try:

@@ -10,6 +10,7 @@ from typing import Any
 import bpy
 
 from ..bake.checks import compare
+from ..base.clock import go_to, shown_moment
 from ..base.preferences import ADDON_VERSION, missing_parts
 from ..base.units import to_meters
 from ..core.readable import size_text
@@ -118,7 +119,7 @@ def _describe_bake(
     table["directory"] = str(cache.directory)
     if not cache.exists():
         return table
-    previous = scene.frame_current, scene.frame_subframe
+    previous = shown_moment(scene)
     try:
         meta = cache.meta()
         whole = cache.whole_frames(meta.start, meta.end)
@@ -134,7 +135,7 @@ def _describe_bake(
     except (CacheError, SimulationError) as error:
         table["problem"] = str(error)
     finally:
-        scene.frame_set(previous[0], subframe=previous[1])
+        go_to(scene, previous)
     return table
 
 

@@ -6,10 +6,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME
 from ..core.tracking.command import add_command as add_track
 from .demo_scenes import DEFAULT, SCENES
 
@@ -83,8 +85,7 @@ def make_parser(
         "--frames",
         metavar="A-B",
         type=frame_range,
-        help="frames to bake, as 1-120, or --frames=-10-50 where the first is negative "
-        "(default: the scene's range)",
+        help="frames to bake, as 1-120 or -10--1 (default: the scene's range)",
     )
     bake.add_argument(
         "--resume", action="store_true", help="keep the frames that are there and go on"
@@ -124,7 +125,10 @@ def make_parser(
     export = add("export", "write the clay at a frame as one watertight mesh")
     add_file_options(export)
     export.add_argument(
-        "--frame", type=int, metavar="N", help="the frame (default: the file's current one)"
+        "--frame",
+        type=frame_number,
+        metavar="N",
+        help="the frame (default: the file's current one)",
     )
     export.add_argument(
         "--output",
@@ -156,7 +160,8 @@ def make_parser(
         "--frames",
         metavar="A-B",
         type=frame_range,
-        help="frames to write (default: the scene's range, as far as it is baked)",
+        help="frames to write, as 1-120 or -10--1 (default: the scene's range, as far as it is "
+        "baked)",
     )
     deliver.add_argument(
         "--format", choices=("usd", "abc"), help="usd or abc (default: the scene's, usd)"
@@ -177,7 +182,7 @@ def make_parser(
         "--frames",
         metavar="LIST",
         type=_frame_list,
-        help="frames to render, as 1-120 or 1-10,15,20 (default: the scene's range)",
+        help="frames to render, as 1-120, -10--1 or 1-10,15,20 (default: the scene's range)",
     )
     render.add_argument(
         "--output",
@@ -214,6 +219,33 @@ def _positive(text: str) -> float:
     return value
 
 
+def frame_number(text: str) -> int:
+    """A frame number that Blender has.
+
+    Raises:
+        ValueError: It is no number.
+        argparse.ArgumentTypeError: Blender would clamp it to another one.
+    """
+    number = int(text)
+    if abs(number) > MAX_FRAME:
+        raise argparse.ArgumentTypeError(NO_SUCH_FRAME.format(number))
+    return number
+
+
+def joined_ranges(words: Sequence[str]) -> list[str]:
+    """Command-line words where a range of frames that begins with a minus belongs to its option.
+
+    Argparse takes ``--frames -5--3`` for two options.
+    """
+    joined: list[str] = []
+    for word in words:
+        if joined and joined[-1] == "--frames" and re.match(r"-\d", word):
+            joined[-1] = f"--frames={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 def frame_range(text: str) -> tuple[int, int]:
     """Two frame numbers from ``1-120``; either may be negative: ``-10--1``.
 
@@ -223,7 +255,7 @@ def frame_range(text: str) -> tuple[int, int]:
     for split in range(1, len(text)):
         if text[split] == "-":
             with contextlib.suppress(ValueError):
-                start, end = int(text[:split]), int(text[split + 1 :])
+                start, end = frame_number(text[:split]), frame_number(text[split + 1 :])
                 if end < start:
                     raise argparse.ArgumentTypeError(f"{text!r} ends before it starts")
                 return start, end
@@ -235,7 +267,7 @@ def _frame_list(text: str) -> list[int]:
     frames: set[int] = set()
     for part in text.split(","):
         try:
-            frames.add(int(part))
+            frames.add(frame_number(part))
         except ValueError:
             start, end = frame_range(part.strip())
             frames.update(range(start, end + 1))

@@ -21,8 +21,10 @@ from statistics import median
 import bpy
 
 from ..base.activity import ActivityKind, BusyError, clay_activity
+from ..base.clock import go_to, shown_moment
 from ..base.units import meters_per_unit
 from ..core.storage.cache import CacheError
+from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
 from ..model.clay_scene import clay_objects, frames_per_second
@@ -186,7 +188,7 @@ def _deliver_frames(
     if not clay:
         raise DeliveryError("There is no clay to deliver. Make clay first.")
     tally = _DeliveryTally()
-    previous = scene.frame_current, scene.frame_subframe
+    previous = shown_moment(scene)
     try:
         shown = ShownClay(scene, clay, cache_of(scene))
         first, last = _range(scene, shown, start, end)
@@ -236,8 +238,8 @@ def _deliver_frames(
     finally:
         # Undo replaces the scene.
         with suppress(ReferenceError):
-            if (scene.frame_current, scene.frame_subframe) != previous:
-                scene.frame_set(previous[0], subframe=previous[1])
+            if shown_moment(scene) != previous:
+                go_to(scene, previous)
     name = ""
     if show:
         with_points = points and kind == "usd"
@@ -283,6 +285,9 @@ def _range(
     last = last if end is None else end
     if last < first:
         raise DeliveryError(f"The range ends (frame {last}) before it starts (frame {first}).")
+    for number in (first, last):
+        if abs(number) > MAX_FRAME:
+            raise DeliveryError(NO_SUCH_FRAME.format(number))
     return first, last
 
 
@@ -301,7 +306,9 @@ def _write_frames(
     shapes: dict[int, tuple[str, str]] = {}
     (folder / FRAMES_FOLDER).mkdir()
     rate = scene.render.fps, scene.render.fps_base
-    writer = FrameWriter(folder / FRAMES_FOLDER, kind, frames_per_second=rate, points=points)
+    writer = FrameWriter(
+        folder / FRAMES_FOLDER, kind, first=first, frames_per_second=rate, points=points
+    )
     total = last + 1 - first
     began = time.perf_counter()
     moving = any(moves(item) for item in clay_objects(scene))

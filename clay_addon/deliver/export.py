@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
+from ..base.clock import shown_moment
 from ..base.units import meters_per_unit
 from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import Surface
@@ -239,7 +240,7 @@ def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[
     """The particles that are seen at the current frame, whether they are baked or not."""
     from ..playback.shown_clay import ShownClay
 
-    return ShownClay(scene, objects, None).read(scene.frame_current_final)
+    return ShownClay(scene, objects, None).read(shown_moment(scene))
 
 
 def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

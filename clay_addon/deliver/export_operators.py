@@ -70,8 +70,8 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
             if not clay:
                 self.report({"ERROR"}, "No clay is selected.")
                 return {"CANCELLED"}
-        frame = context.scene.frame_current
-        itself = all(plays_itself(item, frame) for item in clay)
+        time = context.scene.frame_current_final
+        itself = all(plays_itself(item, time) for item in clay)
         if message(context.scene) and not itself:
             self.report({"WARNING"}, message(context.scene))
         window = None if bpy.app.background else context.window

@@ -29,6 +29,8 @@ VELOCITY_ATTRIBUTE = "velocity"
 ROOT_NAME = "clay.usda"
 """The file that plays all shapes."""
 FRAMES_FOLDER = "frames"
+CLIP_FRAME = 1
+"""The frame of the shape inside each file."""
 POINTS_PATH = "/Clay/points/PointCloud"
 
 
@@ -41,15 +43,24 @@ class FrameWriter:
     Args:
         folder: Where the files go; it must exist.
         kind: ``usd`` or ``abc``.
+        first: The first frame delivered.
         frames_per_second: Of the scene [1/s].
         points: Whether the particles are written too; Alembic has none.
     """
 
     def __init__(
-        self, folder: Path, kind: str, *, frames_per_second: tuple[int, float], points: bool
+        self,
+        folder: Path,
+        kind: str,
+        *,
+        first: int,
+        frames_per_second: tuple[int, float],
+        points: bool,
     ) -> None:
         self._folder = folder
         self._kind = kind
+        # Sequences of files have no negative numbers in Blender, nor elsewhere.
+        self._number_of_zero = max(0, -first)
         self._rate = frames_per_second
         self._points = points and kind == "usd"
         self.name = _free_name("surface")
@@ -62,8 +73,12 @@ class FrameWriter:
         return f"{root}/{self.name}/{self.name}"
 
     def path(self, number: int) -> Path:
-        """The file of the shape first shown at a frame."""
-        return self._folder / f"clay_{number:06d}.{'usdc' if self._kind == 'usd' else 'abc'}"
+        """The file of the shape first shown at a frame.
+
+        Files are numbered by their frames, from 0 on where the delivery begins before frame 0.
+        """
+        place = number + self._number_of_zero
+        return self._folder / f"clay_{place:06d}.{'usdc' if self._kind == 'usd' else 'abc'}"
 
     def write(self, number: int, surface: Surface, particles: Sequence[ShownParticles] = ()) -> int:
         """Write a shape.
@@ -83,10 +98,10 @@ class FrameWriter:
         made: list[bpy.types.ID] = []
         try:
             scene = self._scene(made)
-            self._add_surface(scene, made, number, surface)
+            self._add_surface(scene, made, surface)
             if self._points:
-                self._add_points(scene, made, number, particles)
-            self._export(scene, number, path)
+                self._add_points(scene, made, particles)
+            self._export(scene, path)
         finally:
             # What uses another goes first.
             for block in made:
@@ -103,7 +118,7 @@ class FrameWriter:
         return scene
 
     def _add_surface(
-        self, scene: bpy.types.Scene, made: list[bpy.types.ID], number: int, surface: Surface
+        self, scene: bpy.types.Scene, made: list[bpy.types.ID], surface: Surface
     ) -> None:
         mesh = triangle_mesh(self.name, surface)
         item = _add_object(scene, made, self.name, mesh)
@@ -112,7 +127,7 @@ class FrameWriter:
             assert surface.velocities is not None
             _add_attribute(mesh, FILE_COLOR, "FLOAT_COLOR", "color", surface.colors)
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
-            _add_late(item, made, number, "FACE")
+            _add_late(item, made, "FACE")
             return
         # Alembic of Blender has no other colors, and no velocities.
         layer = mesh.attributes.new(FILE_COLOR, "BYTE_COLOR", "CORNER")
@@ -124,7 +139,6 @@ class FrameWriter:
         self,
         scene: bpy.types.Scene,
         made: list[bpy.types.ID],
-        number: int,
         particles: Sequence[ShownParticles],
     ) -> None:
         """Add a point cloud whose nodes take it from a mesh: 4.5 can size no point cloud."""
@@ -140,16 +154,17 @@ class FrameWriter:
             whole = np.concatenate(values) if isinstance(values, list) else values
             _add_attribute(mesh, name, kind, key, whole)
         item = _add_object(scene, made, "points", bpy.data.pointclouds.new("points"))
-        modifier = _add_late(item, made, number, "POINT")
+        modifier = _add_late(item, made, "POINT")
         set_input(modifier, "Particles", source)
         set_input(modifier, "Radius", 0.5 * particles[0].spacing)
         made += [source, mesh]
 
-    def _export(self, scene: bpy.types.Scene, number: int, path: Path) -> None:
+    def _export(self, scene: bpy.types.Scene, path: Path) -> None:
         # The exporter writes what never changes as a default, which value clips do not read: so
         # the frame before shows one triangle of the shape, and the frame itself all of it.
-        scene.frame_start, scene.frame_end = number - 1, number
-        scene.frame_set(number)
+        # Every file has the same frame, since the exporters know none before 0.
+        scene.frame_start, scene.frame_end = CLIP_FRAME - 1, CLIP_FRAME
+        scene.frame_set(CLIP_FRAME)
         with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
             try:
                 if self._kind == "usd":
@@ -171,8 +186,8 @@ class FrameWriter:
                         bpy.ops.wm.alembic_export,
                         filepath=str(path),
                         check_existing=False,
-                        start=number,
-                        end=number,
+                        start=CLIP_FRAME,
+                        end=CLIP_FRAME,
                         uvs=False,
                         normals=False,
                         vcolors=True,
@@ -208,7 +223,6 @@ def write_root(
     files = list(dict.fromkeys(shown.values()))
     names = [f"@./{file.relative_to(path.parent).as_posix()}@" for file in files]
     first = next(iter(shown))
-    # The time inside a clip may be any but one before its shape, and runs on while it is held.
     active = ", ".join(f"({number}, {files.index(file)})" for number, file in shown.items())
     text = f"""\
         #usda 1.0
@@ -230,7 +244,7 @@ def write_root(
                     asset[] assetPaths = [{", ".join(names)}]
                     asset manifestAssetPath = {names[0]}
                     string primPath = "/Clay"
-                    double2[] times = [({first}, {first}), ({last + 1}, {last + 1})]
+                    double2[] times = [({first}, {CLIP_FRAME}), ({last + 1}, {CLIP_FRAME})]
                 }}
             }}
             prepend references = {names[0]}</Clay>
@@ -265,14 +279,12 @@ def _add_object(
     return item
 
 
-def _add_late(
-    item: bpy.types.Object, made: list[bpy.types.ID], number: int, domain: str
-) -> bpy.types.Modifier:
+def _add_late(item: bpy.types.Object, made: list[bpy.types.ID], domain: str) -> bpy.types.Modifier:
     group = late_group(domain)
     made.append(group)
     modifier = item.modifiers.new("Late", "NODES")
     modifier.node_group = group
-    set_input(modifier, "Frame", number)
+    set_input(modifier, "Frame", CLIP_FRAME)
     return modifier
 
 

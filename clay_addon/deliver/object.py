@@ -10,6 +10,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..base.clock import animation_time, drive_frame
 from ..base.keyed_channels import CONSTANT, Channel, write_channels
 from ..clay.look import set_input
 from ..clay.look_material import clay_material
@@ -75,7 +76,11 @@ def show_delivery(
     first = f"{FRAMES_FOLDER}/{shapes[min(shapes)]}"
     cache_file = _open(folder / (ROOT_NAME if kind == "usd" else first))
     if kind == "abc":
-        _play_sequence(cache_file, shapes)
+        _play_sequence(scene, cache_file, shapes)
+    else:
+        # By itself it would go by the animation time, which time remapping stretches.
+        cache_file.override_frame = True
+        drive_frame(cache_file, "frame")
     _play(item, cache_file, object_path)
     cloud = _points_object(scene)
     if points:
@@ -169,10 +174,13 @@ def _open(path: Path) -> bpy.types.CacheFile:
     return cache_file
 
 
-def _play_sequence(cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]) -> None:
+def _play_sequence(
+    scene: bpy.types.Scene, cache_file: bpy.types.CacheFile, shapes: Mapping[int, str]
+) -> None:
     """Let a file of each shape be opened at the frames at which it is shown."""
     cache_file.is_sequence = True
     cache_file.override_frame = True
     numbers = [int(shapes[frame].rpartition("_")[2].partition(".")[0]) for frame in shapes]
-    channel = Channel("frame", 0, np.array(list(shapes)), np.array(numbers), CONSTANT)
+    times = np.array([animation_time(scene, frame) for frame in shapes])
+    channel = Channel("frame", 0, times, np.array(numbers), CONSTANT)
     write_channels(cache_file, cache_file.name, [channel])

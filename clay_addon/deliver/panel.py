@@ -9,7 +9,7 @@ from ..base.activity import ActivityKind, clay_activity
 from ..core.readable import duration_text
 from ..model.clay_scene import clay_objects
 from ..playback.pose_operators import chosen_clay
-from ..playback.poses import has_poses, pose_frames
+from ..playback.poses import has_poses, pose_times
 from .object import delivered_object
 
 
@@ -43,7 +43,7 @@ class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801
             row = layout.row(align=True)
             row.operator("clay.pose_take", icon="SCULPTMODE_HLT")
             row.operator("clay.pose_release", text="", icon="PHYSICS")
-            count = len({frame for item in posed for frame in pose_frames(item)})
+            count = len({time for item in posed for time in pose_times(item)})
             layout.label(text=f"{count} poses keyed" if count != 1 else "1 pose keyed")
         layout.prop(properties, "hold_frames")
         layout.operator("clay.foci_empties", icon="EMPTY_DATA")

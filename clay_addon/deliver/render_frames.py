@@ -19,7 +19,8 @@ from pathlib import Path
 import bpy
 
 from ...solver.core.errors import TactileClayError
-from ..core.storage.playback import held_frame
+from ..base.clock import animation_time, go_to, shown_moment
+from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME, held_frame
 from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
 from ..playback.playback import cache_of, message
@@ -60,7 +61,7 @@ class RenderResult:
     kept: int
     """Frames whose picture was there already."""
     files: tuple[Path, ...]
-    """The picture of each frame, in the order asked for."""
+    """The pictures on the disk, in the order of the frames asked for."""
 
 
 def render_frames(
@@ -93,8 +94,11 @@ def render_frames(
             f"The scene's output format is a film ({render.image_settings.file_format}). Choose a "
             "format of pictures, such as PNG, and make a film of them afterwards."
         )
+    for frame in frames:
+        if abs(frame) > MAX_FRAME:
+            raise RenderError(NO_SUCH_FRAME.format(frame))
     _check_baked(scene, frames)
-    files = []
+    files: list[Path] = []
     rendered = 0
     with _own_settings(scene), tempfile.TemporaryDirectory(prefix="clay-render-") as folder:
         if output is not None:
@@ -103,10 +107,10 @@ def render_frames(
         for done, frame in enumerate(frames, start=1):
             render.filepath = pattern
             path = Path(bpy.path.abspath(render.frame_path(frame=frame))).absolute()
-            files.append(path)
             if resume and path.is_file():
+                files.append(path)
                 continue
-            _render_frame(scene, frame, path, Path(folder))
+            files += _render_frame(scene, frame, path, Path(folder))
             rendered += 1
             if progress is not None:
                 progress(RenderProgress(frame, path, done, len(frames)))
@@ -142,20 +146,31 @@ def _shows_bake(scene: bpy.types.Scene, frame: int) -> bool:
     """Whether any clay is seen as it was baked: not delivered, packed, or keyed as a pose."""
     if delivered_object(scene) is not None:
         return False
-    return not all(plays_itself(item, frame) for item in clay_objects(scene))
+    time = animation_time(scene, frame)
+    return not all(plays_itself(item, time) for item in clay_objects(scene))
 
 
-def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) -> None:
-    """Render one frame into a folder of this machine, then put the picture where it belongs."""
+def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) -> list[Path]:
+    """Render one frame into a folder of this machine, then put the picture where it belongs.
+
+    Returns:
+        What was written: one picture, or one for each eye of a stereo scene.
+    """
     scene.frame_set(frame)
     if message(scene) and _shows_bake(scene, frame):
         raise FrameNotBakedError(message(scene))
-    # As an animation of one frame, so that compositing and names are those of Blender's own.
-    scene.frame_start = scene.frame_end = frame
-    # A path that ends in a slash has no name, only the number.
-    scene.render.filepath = os.path.join(folder, os.path.basename(scene.render.filepath))  # noqa: PTH118, PTH119
+    # As an animation of one frame, so that compositing and names are those of Blender's own. It
+    # has none before frame 0, so there a still with the same name.
+    animated = frame >= 0
+    if animated:
+        scene.frame_start = scene.frame_end = frame
+        # A path that ends in a slash has no name, only the number.
+        name = os.path.basename(scene.render.filepath)  # noqa: PTH119
+    else:
+        name = path.name
+    scene.render.filepath = os.path.join(folder, name)  # noqa: PTH118
     try:
-        bpy.ops.render.render(animation=True, scene=scene.name)
+        bpy.ops.render.render(animation=animated, write_still=not animated, scene=scene.name)
     except RuntimeError as error:
         raise RenderError(f"Frame {frame} cannot be rendered: {error}") from error
     written = [file for file in folder.iterdir() if file.is_file()]
@@ -163,10 +178,12 @@ def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) 
         raise RenderError(f"Frame {frame} was not rendered: Blender wrote no picture.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        placed = sorted(path.parent / file.name for file in written)
         for file in written:
             _place(file, path.parent / file.name)
     except OSError as error:
         raise RenderError(f"{path} cannot be written: {error.strerror or error}.") from error
+    return placed
 
 
 def _place(file: Path, target: Path) -> None:
@@ -195,7 +212,7 @@ def _own_settings(scene: bpy.types.Scene) -> Iterator[None]:
             (scene, "frame_step"),
         )
     ]
-    frame = scene.frame_current, scene.frame_subframe
+    moment = shown_moment(scene)
     render.use_overwrite = True
     render.use_placeholder = False
     scene.frame_step = 1
@@ -204,4 +221,4 @@ def _own_settings(scene: bpy.types.Scene) -> Iterator[None]:
     finally:
         for owner, name, value in kept:
             setattr(owner, name, value)
-        scene.frame_set(frame[0], subframe=frame[1])
+        go_to(scene, moment)

@@ -8,24 +8,28 @@ the cache is there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 
 import bpy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...solver.core.errors import TactileClayError
+from ..base.clock import drive_frame, go_to, shown_moment
 from ..base.mesh_geometry import local_from_world, transform
-from ..clay.look import set_input
+from ..clay.look import input_path, set_input
 from ..core.storage.cache import Cache, CacheError
 from ..core.storage.playback import Playback, held_frame
 from ..model.clay_scene import clay_objects
 from .packed import FRAME_ATTRIBUTE, MODIFIER_NAME, is_packed, packed_attributes
-from .playback import cache_of, is_bake_of, refresh
+from .playback import cache_of, is_bake_of, paused, refresh
+from .shown_clay import moves
 
 NODE_GROUP_NAME = "Clay Playback"
+_FRAME = "Frame"
 _MARK = "tactile_clay_playback"
-_VERSION = 2
+_VERSION = 3
 _FLOAT_EXACT = 2**24
 """Frames beyond this cannot be told apart by the nodes."""
 
@@ -64,6 +68,7 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int =
     set_input(modifier, "First Frame", min(checked))
     set_input(modifier, "Last Frame", max(checked))
     set_input(modifier, "Hold", hold)
+    drive_frame(clay, input_path(modifier, _FRAME))
     clay.data.update_tag()
 
 
@@ -76,6 +81,8 @@ def unpack(clay: bpy.types.Object) -> bool:
     modifier = clay.modifiers.get(MODIFIER_NAME)
     found = is_packed(clay)
     if modifier is not None:
+        with suppress(KeyError):
+            clay.driver_remove(input_path(modifier, _FRAME))
         clay.modifiers.remove(modifier)
     if clay.type == "POINTCLOUD":
         _remove_attributes(clay)
@@ -109,28 +116,65 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     meta = playback.meta()
     if not is_bake_of(meta, clay):
         raise PackError("The bake is of other clay than the scene has now. Bake again.")
-    try:
-        inverse = [local_from_world(item) for item in clay]
-    except ValueError as error:
-        raise PackError(f"{error}.") from error
-    frames: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
-    # Frames that are held over need not be stored.
-    kept = [
-        number for number in numbers if held_frame(number, first=numbers[0], hold=hold) == number
+    # A bake is in the world, packed shapes go with their object. So an object that moves needs a
+    # shape for every frame, also where the bake holds its shapes.
+    holds = [1 if moves(item) else hold for item in clay]
+    shapes: list[dict[int, NDArray[np.float32]]] = [{} for _ in clay]
+    held = {number: held_frame(number, first=numbers[0], hold=hold) for number in numbers}
+    with _matrices(scene, clay, numbers) as inverse_at:
+        for number in numbers:
+            needed = [each == 1 or held[number] == number for each in holds]
+            if not any(needed):
+                continue
+            world = playback.frame(held[number]).positions
+            inverse = inverse_at(number)
+            for part, matrix, positions, wanted in zip(shapes, inverse, world, needed, strict=True):
+                if wanted:
+                    part[number] = transform(matrix, positions).astype(np.float32)
+    checked = [
+        _checked_frames(item, part, each)
+        for item, part, each in zip(clay, shapes, holds, strict=True)
     ]
-    for number in kept:
-        world = playback.frame(number).positions
-        for part, matrix, positions in zip(frames, inverse, world, strict=True):
-            part[number] = transform(matrix, positions).astype(np.float32)
-    checked = [_checked_frames(item, part, hold) for item, part in zip(clay, frames, strict=True)]
-    for item, part in zip(clay, checked, strict=True):
-        pack(item, part, hold=hold)
+    for item, part, each in zip(clay, checked, holds, strict=True):
+        pack(item, part, hold=each)
     return {
         "frame_start": numbers[0],
         "frame_end": numbers[-1],
         "objects": len(clay),
-        "bytes": 12 * meta.particle_count * len(kept),
+        "bytes": sum(rows.nbytes for part in checked for rows in part.values()),
     }
+
+
+@contextmanager
+def _matrices(
+    scene: bpy.types.Scene, clay: list[bpy.types.Object], numbers: list[int]
+) -> Iterator[Callable[[int], list[NDArray[np.float64]]]]:
+    """What brings world positions into each object's coordinates at a frame.
+
+    The scene goes from frame to frame only where an object moves, and back at the end.
+    """
+    previous = shown_moment(scene)
+
+    def still() -> list[NDArray[np.float64]]:
+        try:
+            return [local_from_world(item) for item in clay]
+        except ValueError as error:
+            raise PackError(f"{error}.") from error
+
+    if not any(moves(item) for item in clay):
+        matrices = still()
+        yield lambda _: matrices
+        return
+
+    def at(number: int) -> list[NDArray[np.float64]]:
+        scene.frame_set(number)
+        return still()
+
+    with paused():
+        try:
+            yield at
+        finally:
+            go_to(scene, previous)
 
 
 def _checked_frames(
@@ -186,6 +230,7 @@ def _playback_group() -> bpy.types.NodeTree:
     socket = tree.interface.new_socket
     socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    socket(_FRAME, in_out="INPUT", socket_type="NodeSocketFloat")
     socket("First Frame", in_out="INPUT", socket_type="NodeSocketInt")
     socket("Last Frame", in_out="INPUT", socket_type="NodeSocketInt")
     socket("Hold", in_out="INPUT", socket_type="NodeSocketInt").default_value = 1
@@ -201,10 +246,21 @@ def _playback_group() -> bpy.types.NodeTree:
     def scalar(operation: str, x: float, y: float) -> bpy.types.Node:
         return node("ShaderNodeMath", x, y, operation=operation)
 
-    given = node("NodeGroupInput", -1400, 200)
-    time = node("GeometryNodeInputSceneTime", -1400, -50)
+    given = node("NodeGroupInput", -2200, 200)
+    # Time remapping turned the frame into a time and the driver turned it back, in single
+    # precision: what is as good as a whole frame is one, or a held shape would change too early.
+    whole = scalar("ROUND", -2000, 0)
+    link(given.outputs[_FRAME], whole.inputs[0])
+    beside = scalar("COMPARE", -1800, 0)
+    link(given.outputs[_FRAME], beside.inputs[0])
+    link(whole.outputs[0], beside.inputs[1])
+    beside.inputs[2].default_value = 0.015
+    moment = node("ShaderNodeMix", -1600, 0)
+    link(beside.outputs[0], moment.inputs[0])
+    link(given.outputs[_FRAME], moment.inputs[2])
+    link(whole.outputs[0], moment.inputs[3])
     clamped = node("ShaderNodeClamp", -1200, 0)
-    link(time.outputs["Frame"], clamped.inputs["Value"])
+    link(moment.outputs[0], clamped.inputs["Value"])
     link(given.outputs["First Frame"], clamped.inputs["Min"])
     link(given.outputs["Last Frame"], clamped.inputs["Max"])
     # Held for n frames: the first frame plus a multiple of n, where n is above 1.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,8 +11,10 @@ from pathlib import Path
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
+from numpy.typing import NDArray
 
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.clock import shown_moment
 from ..base.later import later
 from ..base.mesh_geometry import local_from_world, transform
 from ..base.signals import held_frames_changed
@@ -65,11 +68,17 @@ def message(scene: bpy.types.Scene) -> str:
     return timeline.messages.get(scene.name, "")
 
 
-def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
+def refresh(
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph | None = None,
+    *,
+    during_bake: bool = False,
+) -> None:
     """Show the baked frame at the scene's current frame, or the rest state before any bake.
 
     Args:
         scene: Where the clay is.
+        depsgraph: What shows it; the viewport where not given.
         during_bake: Show it although playback is `paused`.
     """
     clay = clay_objects(scene)
@@ -81,7 +90,7 @@ def refresh(scene: bpy.types.Scene, *, during_bake: bool = False) -> None:
         return
     try:
         timeline.messages.pop(scene.name, None)
-        _show(scene, clay)
+        _show(scene, clay, depsgraph)
     except CacheError as error:
         # The last good shape stays.
         timeline.messages[scene.name] = f"Frame {scene.frame_current}: {error}."
@@ -128,7 +137,11 @@ def paused() -> Iterator[None]:
         timeline.pauses -= 1
 
 
-def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
+def _show(
+    scene: bpy.types.Scene,
+    clay: list[bpy.types.Object],
+    depsgraph: bpy.types.Depsgraph | None,
+) -> None:
     playback = timeline.playback(scene)
     frames = playback.frames() if playback else []
     if playback is None or not frames:
@@ -149,8 +162,8 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
     if wanted not in frames:
         raise CacheMissingError("it is missing in the bake. Press Resume")
     try:
-        positions = playback.frame(wanted).positions
-        inverse = [local_from_world(item) for item in clay]
+        positions = _positions(scene, playback, wanted)
+        inverse = [local_from_world(item, depsgraph) for item in clay]
     except CacheDamagedError as error:
         raise CacheDamagedError(f"{error}. Press Resume to bake it again") from error
     except ValueError as error:
@@ -161,8 +174,27 @@ def _show(scene: bpy.types.Scene, clay: list[bpy.types.Object]) -> None:
             item.data[BAKED_MARK] = True
 
 
+def _positions(
+    scene: bpy.types.Scene, playback: Playback, wanted: int
+) -> list[NDArray[np.float32]]:
+    """World positions of each object at the current moment, which motion blur puts between frames.
+
+    Two baked frames are mixed linearly, as packed playback does it; a held shape stays.
+    """
+    positions = playback.frame(wanted).positions
+    moment = shown_moment(scene)
+    fraction = np.float32(moment - math.floor(moment))
+    following = wanted + 1
+    if not fraction or scene.tactile_clay.hold_frames > 1 or math.floor(moment) != wanted:
+        return positions
+    if following not in playback.frames():
+        return positions
+    later_positions = playback.frame(following).positions
+    return [a + (b - a) * fraction for a, b in zip(positions, later_positions, strict=True)]
+
+
 def _wanted(scene: bpy.types.Scene, frames: list[int]) -> int:
-    return baked_frame(frames, scene.frame_current, hold=scene.tactile_clay.hold_frames)
+    return baked_frame(frames, math.floor(shown_moment(scene)), hold=scene.tactile_clay.hold_frames)
 
 
 def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
@@ -180,7 +212,7 @@ def is_bake_of(meta: Meta, clay: list[bpy.types.Object]) -> bool:
 
 @persistent
 def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    refresh(scene)
+    refresh(scene, depsgraph)
 
 
 @persistent

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..base.clock import shown_moment
 from ..model.clay_scene import clay_objects, read_points
 from .packed import is_packed, packed_positions
 from .poses import PoseError, has_poses, key_clay, key_pose, pose_at, remove_key, take_pose
@@ -31,7 +32,7 @@ def own_positions(scene: bpy.types.Scene, clay: bpy.types.Object) -> NDArray[np.
         PoseError: if it has none.
     """
     if is_packed(clay):
-        return packed_positions(clay, scene.frame_current_final)
+        return packed_positions(clay, shown_moment(scene))
     positions = read_points(clay, "position")
     if positions is None or not len(positions):
         raise PoseError(f"{clay.name!r} has no particles.")
@@ -53,7 +54,7 @@ def key_shapes(context: bpy.types.Context) -> list[bpy.types.Object]:
         raise PoseError("There is no clay in this scene. Make clay first.")
     shapes = [own_positions(scene, item) for item in clay]
     for item, shape in zip(clay, shapes, strict=True):
-        key_pose(item, shape, frame=scene.frame_current)
+        key_pose(item, shape, time=scene.frame_current_final)
     return clay
 
 
@@ -108,7 +109,7 @@ class CLAY_OT_pose_release(_PoseOperator, bpy.types.Operator):  # noqa: N801
         """Key the selected clay, or all."""
 
         def act(item: bpy.types.Object) -> bool:
-            key_clay(item, frame=context.scene.frame_current)
+            key_clay(item, time=context.scene.frame_current_final)
             return has_poses(item)
 
         return self._each(context, act, "No pose is keyed, so the clay itself is shown already.")
@@ -122,11 +123,11 @@ class CLAY_OT_pose_remove(_PoseOperator, bpy.types.Operator):  # noqa: N801
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Remove it from the selected clay, or all."""
-        frame = context.scene.frame_current
+        time = context.scene.frame_current_final
         return self._each(
             context,
-            lambda item: remove_key(item, frame=frame),
-            f"No pose is keyed at frame {frame}.",
+            lambda item: remove_key(item, time=time),
+            f"No pose is keyed at frame {context.scene.frame_current}.",
         )
 
 
@@ -138,10 +139,10 @@ class CLAY_OT_pose_take(_PoseOperator, bpy.types.Operator):  # noqa: N801
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Take it for the selected clay, or all."""
-        frame = context.scene.frame_current
+        time = context.scene.frame_current_final
         return self._each(
             context,
-            lambda item: pose_at(item, frame) is not None and take_pose(item, frame=frame),
+            lambda item: pose_at(item, time) is not None and take_pose(item, time=time),
             "No keyed pose is shown at this frame.",
         )
 

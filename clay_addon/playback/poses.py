@@ -27,6 +27,8 @@ _INPUT = "Pose"
 _SWITCH = "Pose Switch"
 _MARK = "tactile_clay_poses"
 _VERSION = 1
+_SAME_TIME = 0.01
+"""Blender takes keys that are nearer to each other for one."""
 
 
 class PoseError(TactileClayError, ValueError):
@@ -47,44 +49,44 @@ def pose_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
     return None
 
 
-def pose_at(clay: bpy.types.Object, frame: float) -> bpy.types.Object | None:
-    """The keyed shape that an object shows at a frame; None where it shows itself.
+def pose_at(clay: bpy.types.Object, time: float) -> bpy.types.Object | None:
+    """The keyed shape that an object shows at a time; None where it shows itself.
 
     Args:
         clay: Point cloud object.
-        frame: Frame number.
+        time: Animation time; see `animation_time`.
     """
     modifier = pose_modifier(clay)
     if modifier is None:
         return None
     curve = find_curve(clay, input_path(modifier, _INPUT))
-    value = get_input(modifier, _INPUT) if curve is None else curve.evaluate(frame)
+    value = get_input(modifier, _INPUT) if curve is None else curve.evaluate(time)
     return _poses(modifier).get(round(value))
 
 
-def plays_itself(clay: bpy.types.Object, frame: float) -> bool:
-    """Whether what an object shows at a frame is in the .blend: packed, or keyed as a pose."""
-    return is_packed(clay) or pose_at(clay, frame) is not None
+def plays_itself(clay: bpy.types.Object, time: float) -> bool:
+    """Whether what an object shows at a time is in the .blend: packed, or keyed as a pose."""
+    return is_packed(clay) or pose_at(clay, time) is not None
 
 
-def pose_frames(clay: bpy.types.Object) -> list[int]:
-    """Frames at which an object has a key of its shape, sorted."""
+def pose_times(clay: bpy.types.Object) -> list[float]:
+    """Animation times at which an object has a key of its shape, sorted."""
     modifier = pose_modifier(clay)
     curve = find_curve(clay, input_path(modifier, _INPUT)) if modifier else None
-    return sorted({round(key.co.x) for key in curve.keyframe_points}) if curve else []
+    return sorted({key.co.x for key in curve.keyframe_points}) if curve else []
 
 
 def key_pose(
-    clay: bpy.types.Object, positions: NDArray[np.float32], *, frame: int
+    clay: bpy.types.Object, positions: NDArray[np.float32], *, time: float
 ) -> bpy.types.Object:
-    """Keep a shape of a clay object as a key at a frame, held until the next one.
+    """Keep a shape of a clay object as a key at a time, held until the next one.
 
-    A key that stands at that frame is replaced.
+    A key at that time is replaced.
 
     Args:
         clay: Point cloud object.
         positions: The shape, in the object's coordinates [Blender units], shape [N, 3].
-        frame: Frame number.
+        time: Animation time; see `animation_time`.
 
     Returns:
         The point cloud object that holds the shape. It is in no collection.
@@ -107,37 +109,37 @@ def key_pose(
     pose = bpy.data.objects.new(f"{clay.name} pose", data)
     modifier = _own_modifier(clay) or _add_modifier(clay)
     set_input(modifier, _INPUT, _add_pose(modifier.node_group, pose))
-    _insert_key(clay, modifier, frame)
+    _insert_key(clay, modifier, time)
     _drop_unused(clay)
     return pose
 
 
-def key_clay(clay: bpy.types.Object, *, frame: int) -> None:
-    """Let an object show itself, simulated or sculpted, from a frame on.
+def key_clay(clay: bpy.types.Object, *, time: float) -> None:
+    """Let an object show itself, simulated or sculpted, from a time on.
 
     Args:
         clay: An object for which `has_poses` holds.
-        frame: Frame number.
+        time: Animation time; see `animation_time`.
     """
     modifier = _own_modifier(clay)
     if modifier is None:
         return
     set_input(modifier, _INPUT, 0)
-    _insert_key(clay, modifier, frame)
+    _insert_key(clay, modifier, time)
     _drop_unused(clay)
 
 
-def remove_key(clay: bpy.types.Object, *, frame: int) -> bool:
-    """Take the key at a frame away, and its shape where no other key shows it.
+def remove_key(clay: bpy.types.Object, *, time: float) -> bool:
+    """Take the key at a time away, and its shape where no other key shows it.
 
     Returns:
         Whether there was one.
     """
     modifier = _own_modifier(clay)
-    if modifier is None or frame not in pose_frames(clay):
+    if modifier is None or not any(abs(key - time) < _SAME_TIME for key in pose_times(clay)):
         return False
-    clay.keyframe_delete(input_path(modifier, _INPUT), frame=frame)
-    if not pose_frames(clay):
+    clay.keyframe_delete(input_path(modifier, _INPUT), frame=time)
+    if not pose_times(clay):
         remove_poses(clay)
     else:
         _drop_unused(clay)
@@ -154,8 +156,8 @@ def remove_poses(clay: bpy.types.Object) -> None:
     path = input_path(modifier, _INPUT)
     curve = find_curve(clay, path)
     if curve is not None:
-        for frame in [key.co.x for key in curve.keyframe_points]:
-            clay.keyframe_delete(path, frame=frame)
+        for time in [key.co.x for key in curve.keyframe_points]:
+            clay.keyframe_delete(path, frame=time)
     clay.modifiers.remove(modifier)
     if group.users == 0:
         bpy.data.node_groups.remove(group)
@@ -163,8 +165,8 @@ def remove_poses(clay: bpy.types.Object) -> None:
             _delete(pose)
 
 
-def take_pose(clay: bpy.types.Object, *, frame: int) -> bool:
-    """Make the shape keyed at a frame the clay itself, to go on sculpting from it.
+def take_pose(clay: bpy.types.Object, *, time: float) -> bool:
+    """Make the shape keyed at a time the clay itself, to go on sculpting from it.
 
     Returns:
         Whether the object showed a keyed shape there; else nothing has changed.
@@ -172,7 +174,7 @@ def take_pose(clay: bpy.types.Object, *, frame: int) -> bool:
     Raises:
         PoseError: if the object plays packed frames, which go with its own points.
     """
-    pose = pose_at(clay, frame)
+    pose = pose_at(clay, time)
     if pose is None:
         return False
     if is_packed(clay):
@@ -274,9 +276,9 @@ def _delete(pose: bpy.types.Object) -> None:
             bpy.data.pointclouds.remove(data)
 
 
-def _insert_key(clay: bpy.types.Object, modifier: bpy.types.Modifier, frame: int) -> None:
+def _insert_key(clay: bpy.types.Object, modifier: bpy.types.Modifier, time: float) -> None:
     path = input_path(modifier, _INPUT)
-    clay.keyframe_insert(path, frame=frame)
+    clay.keyframe_insert(path, frame=time)
     curve = find_curve(clay, path)
     assert curve is not None
     for key in curve.keyframe_points:

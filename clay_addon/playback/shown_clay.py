@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
+from ..base.clock import animation_time
 from ..base.keyed_channels import find_curve
 from ..base.mesh_geometry import transform
 from ..core.storage.cache import Cache
@@ -88,7 +90,7 @@ class ShownClay:
         """What tells shapes apart: two frames with equal keys show the same."""
         return tuple(self._key(item, number) for item in self._objects)
 
-    def read(self, number: int) -> list[ShownParticles]:
+    def read(self, number: float) -> list[ShownParticles]:
         """The particles of each object at a frame, in Blender units.
 
         Args:
@@ -124,14 +126,19 @@ class ShownClay:
             )
         ]
 
-    def _is_baked(self, item: bpy.types.Object, number: int) -> bool:
-        return bool(self.baked) and not is_packed(item) and pose_at(item, number) is None
+    def _is_baked(self, item: bpy.types.Object, number: float) -> bool:
+        return bool(self.baked) and not is_packed(item) and self._pose(item, number) is None
 
-    def _baked_frame(self, number: int) -> int:
-        return shown_frame(self.baked, number, hold=self._scene.tactile_clay.hold_frames)
+    def _pose(self, item: bpy.types.Object, number: float) -> bpy.types.Object | None:
+        return pose_at(item, animation_time(self._scene, number))
+
+    def _baked_frame(self, number: float) -> int:
+        return shown_frame(
+            self.baked, math.floor(number), hold=self._scene.tactile_clay.hold_frames
+        )
 
     def _key(self, item: bpy.types.Object, number: int) -> tuple[object, ...]:
-        pose = pose_at(item, number)
+        pose = self._pose(item, number)
         where = (number,) if moves(item) else ()
         if pose is not None:
             return ("pose", pose.name, *where)
@@ -139,9 +146,9 @@ class ShownClay:
             return ("packed", number)
         return ("baked", self._baked_frame(number)) if self.baked else ("own", *where)
 
-    def _read_own(self, item: bpy.types.Object, spacing: float, number: int) -> ShownParticles:
+    def _read_own(self, item: bpy.types.Object, spacing: float, number: float) -> ShownParticles:
         """Particles of a keyed, packed or sculpted shape, which goes with its object."""
-        pose = pose_at(item, number)
+        pose = self._pose(item, number)
         if pose is None and is_packed(item):
             local: NDArray[np.float32] | None = packed_positions(item, number)
         else:
@@ -172,13 +179,16 @@ def moves(item: bpy.types.Object) -> bool:
     A bake is in the world, but keyed, packed and sculpted shapes go with their object.
     """
     animation = item.animation_data
-    if item.parent is not None or len(item.constraints):
+    if item.parent is not None or len(item.constraints) or item.rigid_body is not None:
         return True
     if animation is None:
         return False
+    if animation.nla_tracks:
+        return True
     paths = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
-    keyed = (find_curve(item, prefix + path) for prefix in ("", "delta_") for path in paths)
-    return bool(animation.drivers or animation.nla_tracks) or any(keyed)
+    places = {prefix + path for prefix in ("", "delta_") for path in paths}
+    driven = any(curve.data_path in places for curve in animation.drivers)
+    return driven or any(find_curve(item, path) for path in places)
 
 
 def world_spacing(item: bpy.types.Object) -> float:

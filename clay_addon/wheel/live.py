@@ -80,7 +80,7 @@ class LiveWheels:
             if curve is None or item.name not in self._angles:
                 continue
             curve.mute = False
-            behind = self._angles[item.name] - curve.evaluate(scene.frame_current)
+            behind = self._angles[item.name] - curve.evaluate(scene.frame_current_final)
             phase = item.tactile_clay.wheel_phase + behind
             item.tactile_clay.wheel_phase = math.remainder(phase, math.tau)
         refresh(scene)

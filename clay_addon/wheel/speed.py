@@ -57,37 +57,36 @@ def _is_mixed(animation: bpy.types.AnimData) -> bool:
 
 
 def turns(
-    item: bpy.types.Object, start: int, end: int, frame_duration: float
+    item: bpy.types.Object, times: NDArray[np.float64], frame_duration: float
 ) -> NDArray[np.float64]:
     """The angle that a wheel, whose speed is not driven, turns by in each frame [rad].
 
     Args:
         item: The wheel.
-        start: First frame.
-        end: Last frame.
+        times: Animation times of the frames, evenly spaced, shape [N]; see `animation_time`.
         frame_duration: Time from frame to frame [s].
 
     Returns:
-        From ``start`` to ``start + 1`` and so on, shape [end - start].
+        From each frame to the next, shape [N - 1].
     """
     curve = speed_curve(item)
     if curve is None:
-        return np.full(end - start, item.tactile_clay.wheel_speed * RATE * frame_duration)
+        return np.full(len(times) - 1, item.tactile_clay.wheel_speed * RATE * frame_duration)
     points = curve.keyframe_points
     keys = np.empty(2 * len(points))
     points.foreach_get("co", keys)
-    # Between keys and whole frames a curve is smooth.
+    # Between keys a curve is smooth.
     inner = keys[::2]
-    inner = inner[(inner > start) & (inner < end)]
-    places = np.union1d(np.arange(start, end + 1, dtype=np.float64), inner)
+    inner = inner[(inner > times[0]) & (inner < times[-1])]
+    places = np.union1d(times, inner)
     half = 0.5 * np.diff(places)
     at = (places[:-1] + half)[:, None] + half[:, None] * _NODES
     speeds = np.array([curve.evaluate(place) for place in at.ravel()]).reshape(at.shape)
     # Blender holds an animated property within its limits.
     pieces = half * (limited(speeds) @ _WEIGHTS)
-    whole = np.zeros(end - start)
-    np.add.at(whole, np.floor(places[:-1] + half).astype(int) - start, pieces)
-    return whole * RATE * frame_duration
+    whole = np.zeros(len(times) - 1)
+    np.add.at(whole, np.searchsorted(times, places[:-1] + half) - 1, pieces)
+    return whole / (times[1] - times[0]) * RATE * frame_duration
 
 
 def turns_between(speeds: NDArray[np.float64], frame_duration: float) -> NDArray[np.float64]:

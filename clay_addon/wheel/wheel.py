@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ..base.app_handlers import add_handlers, remove_handlers
+from ..base.clock import animation_time, go_to, shown_moment
 from ..base.signals import wheels_changed
 from ..model.properties import frame_range
 from .speed import is_driven, speed_curve, turns, turns_between
@@ -71,6 +72,7 @@ def refresh(scene: bpy.types.Scene) -> None:
         return
     taken: set[bpy.types.Object] = set()
     start, low, high = _frames(scene)
+    times = _times(scene, low, high)
     duration = scene.render.fps_base / scene.render.fps
     for item in list(scene.objects):
         if item.tactile_clay.wheel_axle is None and not is_wheel(item):
@@ -83,9 +85,9 @@ def refresh(scene: bpy.types.Scene) -> None:
             curve = angle_curve(axle)
             if curve is not None and curve.mute:
                 curve.mute = False
-            stamp = _stamp(item, start, low, high, duration)
+            stamp = _stamp(item, start, times, duration)
             if axle.get(_STAMP) != stamp:
-                _write(item, axle, turns(item, low, high, duration), start, low)
+                _write(item, axle, turns(item, times, duration), times, start - low)
                 axle[_STAMP] = stamp
 
 
@@ -99,7 +101,7 @@ def sample(scene: bpy.types.Scene) -> None:
     if not driven or scene.session_uid in live_scenes:
         return
     start, low, high = _frames(scene)
-    previous = scene.frame_current, scene.frame_subframe
+    previous = shown_moment(scene)
     speeds = np.empty((len(driven), high + 1 - low))
     for number in range(low, high + 1):
         scene.frame_set(number)
@@ -107,12 +109,13 @@ def sample(scene: bpy.types.Scene) -> None:
         for row, item in zip(speeds, driven, strict=True):
             row[number - low] = item.evaluated_get(depsgraph).tactile_clay.wheel_speed
     taken = {item.tactile_clay.wheel_axle for item in wheel_objects(scene) if item not in driven}
+    times = _times(scene, low, high)
     duration = scene.render.fps_base / scene.render.fps
     for row, item in zip(speeds, driven, strict=True):
         axle = ensure_axle(item, taken)
-        _write(item, axle, turns_between(row, duration), start, low)
+        _write(item, axle, turns_between(row, duration), times, start - low)
         axle[_STAMP] = "sampled"
-    scene.frame_set(previous[0], subframe=previous[1])
+    go_to(scene, previous)
 
 
 def check_speeds(scene: bpy.types.Scene) -> None:
@@ -144,15 +147,20 @@ def _frames(scene: bpy.types.Scene) -> tuple[int, int, int]:
     return start, low, max(end, scene.frame_end, low + 1)
 
 
-def _stamp(item: bpy.types.Object, start: int, low: int, high: int, duration: float) -> str:
+def _times(scene: bpy.types.Scene, low: int, high: int) -> NDArray[np.float64]:
+    """Animation times of the frames to key."""
+    return np.array([animation_time(scene, number) for number in range(low, high + 1)])
+
+
+def _stamp(item: bpy.types.Object, start: int, times: NDArray[np.float64], duration: float) -> str:
     """What decides the angles, in short."""
     properties = item.tactile_clay
     curve = speed_curve(item)
-    parts: list[object] = [start, low, high, duration, properties.wheel_phase]
+    parts: list[object] = [start, times[0], times[-1], duration, properties.wheel_phase]
     if curve is None:
         parts.append(properties.wheel_speed)
     elif len(curve.modifiers):
-        parts += [curve.evaluate(frame) for frame in range(low, high + 1)]
+        parts += [curve.evaluate(time) for time in times]
     else:
         points = curve.keyframe_points
         parts.append(curve.extrapolation)
@@ -168,8 +176,8 @@ def _write(
     item: bpy.types.Object,
     axle: bpy.types.Object,
     steps: NDArray[np.float64],
+    times: NDArray[np.float64],
     start: int,
-    low: int,
 ) -> None:
     """Key an axle in each frame.
 
@@ -177,23 +185,22 @@ def _write(
         item: Its wheel.
         axle: The axle.
         steps: The angle it turns by from frame to frame [rad].
-        start: The frame at which it has the wheel's phase.
-        low: First frame to key.
+        times: Animation times of the frames.
+        start: Which of them it has the wheel's phase at.
     """
     angles = np.concatenate([[0.0], np.cumsum(steps)])
-    angles += item.tactile_clay.wheel_phase - angles[start - low]
+    angles += item.tactile_clay.wheel_phase - angles[start]
     curve = angle_curve(axle)
     if curve is None:
         axle.animation_data_clear()
-        axle.keyframe_insert("rotation_euler", index=2, frame=low)
+        axle.keyframe_insert("rotation_euler", index=2, frame=times[0])
         curve = angle_curve(axle)
         assert curve is not None
     points = curve.keyframe_points
     if len(points) > len(angles):
         points.clear()
     points.add(len(angles) - len(points))
-    frames = np.arange(low, low + len(angles))
-    points.foreach_set("co", np.column_stack([frames, angles]).astype(np.float32).ravel())
+    points.foreach_set("co", np.column_stack([times, angles]).astype(np.float32).ravel())
     points.foreach_set("interpolation", np.full(len(angles), _LINEAR, np.int32))
     curve.extrapolation = "LINEAR"
     curve.mute = False

@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from .meta import Meta
 
 
+MAX_FRAME = 1_048_574
+"""Blender clamps frame numbers beyond it without a word; as many are negative."""
+NO_SUCH_FRAME = f"Blender has no frame {{:,}}: they go from {-MAX_FRAME:,} to {MAX_FRAME:,}."
+
+
 @dataclass(frozen=True)
 class PlayedFrame:
     """The particles of each clay object at a baked frame."""

@@ -24,7 +24,7 @@ from tactile_clay.clay_addon.playback.poses import (
     PoseError,
     key_pose,
     pose_at,
-    pose_frames,
+    pose_times,
     pose_modifier,
 )
 from tactile_clay.clay_addon.sculpt.live.surface import LiveSurface
@@ -120,7 +120,7 @@ def test_keys_are_ordinary_and_can_be_moved(studio: Any, clay: Any) -> None:
     curve.update()
     np.testing.assert_array_equal(shown(clay, 6), first)
     np.testing.assert_array_equal(shown(clay, 7), second)
-    assert pose_frames(clay) == [2, 7]
+    assert pose_times(clay) == [2, 7]
     studio.scene.frame_set(9)
     assert bpy.ops.clay.pose_release() == {"FINISHED"}
     sculpt(clay, 1.0)
@@ -211,7 +211,7 @@ def test_a_duplicate_keeps_its_own_poses(studio: Any, clay: Any) -> None:
     copy.data = clay.data.copy()
     copy.animation_data.action = clay.animation_data.action.copy()
     bpy.context.collection.objects.link(copy)
-    key_pose(copy, second + 1, frame=2)
+    key_pose(copy, second + 1, time=2)
     np.testing.assert_array_equal(shown(copy, 2), second + 1)
     np.testing.assert_array_equal(shown(clay, 2), first)
 
@@ -219,9 +219,9 @@ def test_a_duplicate_keeps_its_own_poses(studio: Any, clay: Any) -> None:
 def test_bad_shapes_are_refused(studio: Any, clay: Any) -> None:
     """A mesh, a wrong number of particles, one that is not finite, and clay that is packed."""
     with pytest.raises(PoseError, match="is a mesh"):
-        key_pose(studio.block(), np.zeros((64, 3), np.float32), frame=1)
+        key_pose(studio.block(), np.zeros((64, 3), np.float32), time=1)
     with pytest.raises(PoseError, match="needs"):
-        key_pose(clay, np.zeros((3, 3), np.float32), frame=1)
+        key_pose(clay, np.zeros((3, 3), np.float32), time=1)
     clay.data.attributes["position"].data[3].vector = (float("nan"), 0, 0)
     studio.select(clay)
     assert "1 particles" in studio.refused(bpy.ops.clay.pose_key)
