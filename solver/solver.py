@@ -105,6 +105,9 @@ class Solver:
         self._substeps = 0
         self._duration = BASE_STEP
         self._teleported = 0
+        self.jumped: tuple[MeshCollider | Hand, ...] = ()
+        """What moved too far to be swept in the last step, near clay: it jumped, and pushed none on
+        its way."""
         self._begun = False
         initial = np.linalg.norm(scene.initial_velocities(), axis=1)
         self._speed_before = float(np.max(initial, initial=0.0))
@@ -252,6 +255,9 @@ class Solver:
         if substeps > shortest:
             substeps = self._familiar(substeps)
         self._teleported += sum(teleported)
+        moving = (*self.scene.meshes, *self.scene.hands)
+        jumps = zip(moving, teleported, near, strict=True)
+        self.jumped = tuple(collider for collider, jump, close in jumps if jump and close)
         meshes.begin_step(duration, substeps, motions, boxes, teleported, near)
         carried = zip(motions, teleported, near, strict=True)
         return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
@@ -308,6 +314,10 @@ class Solver:
             if known is collider:
                 return self._contacts.force_on(index, self._duration)
         raise ValueError("That collider is not in the scene this solver was built from.")
+
+    def penetrations(self) -> list[tuple[Plane | MeshCollider | Hand, float]]:
+        """How deep clay lies in each collider that it touches [m], where it does."""
+        return self._contacts.penetrations()
 
     def contacts(self, hand: Hand) -> HandContacts:
         """Forces on the ghosts of a hand's skin, mean over the last step.

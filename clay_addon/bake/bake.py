@@ -410,16 +410,6 @@ def _warnings(scene: bpy.types.Scene, tally: _BakeTally) -> tuple[str, ...]:
             f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
             f"is {from_meters(scene, 9.81):.4g} there (Scene > Gravity)."
         )
-    if tally.quarantined:
-        warnings.append(
-            f"Particles were held in place {tally.quarantined} times because their state was not "
-            "finite; use more substeps."
-        )
-    if tally.overflow:
-        warnings.append(
-            f"{tally.overflow} neighbors of particles found no room in the solver; the clay is "
-            "squeezed more than it can follow."
-        )
     return tuple(warnings)
 
 

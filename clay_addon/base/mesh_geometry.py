@@ -18,6 +18,17 @@ def is_switched_off(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> b
     return not item.evaluated_get(depsgraph).is_evaluated
 
 
+def is_absent(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether an object is off in the viewport, and so has no part in a simulation.
+
+    It is off by its own switch (the monitor), which may be keyed, or by a collection that is off or
+    excluded. Hiding it with H, local view and the switch for rendering (the camera) change only
+    what one sees. Blender neither moves nor deforms an object while it is off.
+    """
+    evaluated = item.evaluated_get(depsgraph)
+    return not evaluated.is_evaluated or bool(evaluated.hide_viewport)
+
+
 def evaluated_mesh(
     item: bpy.types.Object, depsgraph: bpy.types.Depsgraph
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

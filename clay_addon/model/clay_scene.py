@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...solver.core.errors import TactileClayError
 from ...solver.scene.material import Material
 from ...solver.scene.settings import Settings
-from ..base.mesh_geometry import transform
+from ..base.mesh_geometry import is_absent, transform
 from ..base.preferences import device_choice, missing_parts
 from .material_properties import read_material
 
@@ -36,7 +36,9 @@ def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether the clay feels a collider at the current frame."""
+    """Whether the clay feels a collider at the current frame: it is there, and touches clay."""
+    if is_absent(item, depsgraph):
+        return False
     return bool(item.evaluated_get(depsgraph).tactile_clay.collider_enabled)
 
 

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
+from ..base.mesh_geometry import SWITCHED_OFF, is_absent, is_switched_off
 from ..hands.hand import hand_bone_matrices, hand_message, read_hand_rig
 from ..hands.reading import HandError, hand_armature
 from ..tracking.armature import CONTACT_PROPERTY
@@ -166,7 +166,11 @@ class MovingHand:
         return np.stack([matrices[name] for name in self.rig.bone_names])
 
     def _tracked(self, depsgraph: bpy.types.Depsgraph) -> bool:
-        armature = hand_armature(self.item).evaluated_get(depsgraph)
+        rig = hand_armature(self.item)
+        if is_absent(self.item, depsgraph) or is_absent(rig, depsgraph):
+            # By its keys: Blender does not move it, and a ghost must not stay in the clay's way.
+            return False
+        armature = rig.evaluated_get(depsgraph)
         contact = armature.get(CONTACT_PROPERTY, 1.0)
         if not isinstance(contact, int | float) or not math.isfinite(contact):
             return False

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import bpy
 
-from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
+from ..base.mesh_geometry import SWITCHED_OFF, is_absent, is_switched_off
 from ..hands.hand import hand_objects
 from ..hands.reading import HandError
 from ..model.clay_scene import SimulationError
-from ..model.collider import TAKE_TOOL
+from ..model.properties import frame_range
+from .colliders import first_shown
 from .hand_motion import MovingHand
 
 LIVE_HOLD_STIFFNESS = 600.0
@@ -18,7 +19,9 @@ fingertip pressed with 6 N is a centimeter behind."""
 
 
 def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
-    """The hands that take part in a simulation.
+    """The hands that take part in a simulation: those that are on in the viewport.
+
+    In a bake, one that is keyed off is there, and out of contact until its keys switch it on.
 
     Raises:
         SimulationError: A hand is not bound, or has changed since.
@@ -26,27 +29,38 @@ def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
     gives_way = live or context.scene.tactile_clay.hands_give_way
     hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
     hands = hand_objects(context.scene)
-    if hands and live:
-        hands = simulated(hands, context.evaluated_depsgraph_get(), live=True)
-    try:
-        return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
-    except HandError as error:
-        raise SimulationError(str(error)) from error
+    depsgraph = context.evaluated_depsgraph_get()
+    off = is_absent if live else is_switched_off
+    hands = [item for item in hands if not off(item, depsgraph)]
+    scene = context.scene
+    found = []
+    for item in hands:
+        start = scene.frame_current
+        if is_absent(item, context.evaluated_depsgraph_get()):
+            # Blender deforms it only while it is on.
+            _, end = frame_range(scene)
+            if first_shown(item, scene, max(end, scene.frame_end)) is None:
+                scene.frame_set(start)
+                continue
+        try:
+            found.append(MovingHand(context, item, hold_stiffness=hold_stiffness))
+        except HandError as error:
+            raise SimulationError(str(error)) from error
+        finally:
+            if scene.frame_current != start:
+                scene.frame_set(start)
+    return found
 
 
-def simulated(
+def clay_there(
     objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
 ) -> list[bpy.types.Object]:
-    """The objects that take part in a simulation.
+    """The clay that takes part in a simulation.
 
-    A bake refuses objects that are switched off, since that may be a mistake; a live session leaves
-    them out. It also leaves out the tools of earlier takes.
+    A live session leaves out what is off in the viewport. A bake is of all clay of a scene, so it
+    refuses that (see `check_clay`).
     """
-    return [
-        item
-        for item in objects
-        if not (live and (is_switched_off(item, depsgraph) or TAKE_TOOL in item))
-    ]
+    return [item for item in objects if not (live and is_absent(item, depsgraph))]
 
 
 def check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:

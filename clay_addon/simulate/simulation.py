@@ -11,17 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.geometry.closed_mesh import MeshError
-from ...solver.geometry.rotations import rotation_and_stretch
 from ..base.mesh_geometry import (
     SWITCHED_OFF,
-    evaluated_mesh,
-    flat_plane,
+    is_absent,
     is_switched_off,
-    transform,
-    turn_for,
 )
 from ..base.units import meters_per_unit
 from ..core.storage.clay_layout import ClayLayout, ClaySlice
+from ..hands.hand import hand_objects
 from ..hands.reading import HandError
 from ..model.clay_scene import (
     SimulationError,
@@ -34,13 +31,14 @@ from ..model.clay_scene import (
     is_enabled,
     solver_settings,
 )
-from ..model.collider import ColliderError, resolve_kind
+from ..model.collider import TAKE_TOOL
 from ..model.digest import digest_of, scene_digests
-from ..wheel.wheel import is_wheel
-from .colliders import FlatCollider, MovingCollider
+from ..model.properties import frame_range
+from .colliders import FlatCollider, MovingCollider, first_shown, read_collider
 from .edited_clay import EditedClay
+from .faults import Faults
 from .hand_motion import HandState
-from .scene_parts import check_clay, common_spacing, read_hands, simulated
+from .scene_parts import check_clay, clay_there, common_spacing, read_hands
 
 if TYPE_CHECKING:
     from ...solver import Scene, Solver
@@ -83,7 +81,7 @@ class Simulation:
         # Reading a hand changes the scene for a moment, so it comes before the evaluated scene.
         self.hands = read_hands(context, live=live)
         depsgraph = context.evaluated_depsgraph_get()
-        clay = simulated(clay_objects(scene), depsgraph, live=live)
+        clay = clay_there(clay_objects(scene), depsgraph, live=live)
         if not clay:
             raise SimulationError(
                 "All clay of the scene is switched off in the viewport. Switch some of it on."
@@ -106,46 +104,54 @@ class Simulation:
         self._planes: list[FlatCollider] = []
         self._meshes: list[MovingCollider] = []
         self._surfaces: dict[str, dict[str, float]] = {}
-        middle = np.concatenate(self.rest).astype(np.float64).mean(0)
-        for item in simulated(collider_objects(scene), depsgraph, live=live):
-            self._add_collider(item, depsgraph, middle)
+        taking_part = [hand.item for hand in self.hands]
+        self._absent = [i.name for i in hand_objects(scene) if i not in taking_part]
+        """Colliders and hands that are off in the viewport, and so are not there."""
+        self._add_colliders(context)
         self.solver: Solver | None = None
+        self.faults = Faults()
+        """What went wrong while it ran."""
+
+    def _add_colliders(self, context: bpy.types.Context) -> None:
+        """Add what is there now, or comes later by keys of its visibility."""
+        scene = self.scene
+        depsgraph = context.evaluated_depsgraph_get()
+        names = [part.name for part in self.parts]
+        clay = dict(zip(names, self.rest, strict=True))
+        for item in collider_objects(scene):
+            if self.live and TAKE_TOOL in item:
+                continue
+            if is_absent(item, depsgraph):
+                if self.live or is_switched_off(item, depsgraph):
+                    self._absent.append(item.name)
+                    continue
+                start = scene.frame_current
+                _, end = frame_range(scene)
+                appears = first_shown(item, scene, max(end, scene.frame_end))
+                depsgraph = context.evaluated_depsgraph_get()
+                if appears is not None:
+                    self._add_collider(item, depsgraph, clay)
+                scene.frame_set(start)
+                depsgraph = context.evaluated_depsgraph_get()
+                continue
+            self._add_collider(item, depsgraph, clay)
 
     def _add_collider(
         self,
         item: bpy.types.Object,
         depsgraph: bpy.types.Depsgraph,
-        middle: NDArray[np.float64],
+        clay: Mapping[str, NDArray[np.float32]],
     ) -> None:
-        try:
-            kind = resolve_kind(item, item.tactile_clay.collider_kind, depsgraph)
-        except ColliderError as error:
-            raise SimulationError(str(error)) from error
-        vertices, triangles = evaluated_mesh(item, depsgraph)
-        matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
-        if kind == "PLANE" and is_wheel(item):
-            raise SimulationError(
-                f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
-                "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
-            )
+        part = read_collider(item, depsgraph, clay, self.spacing)
         self._surfaces[item.name] = {
             "friction": item.tactile_clay.collider_friction,
             "adhesion": item.tactile_clay.collider_adhesion,
         }
-        if kind == "MESH":
-            _, stretch = rotation_and_stretch(matrix[:3, :3])
-            self._meshes.append(
-                MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
-            )
-            return
-        flat = flat_plane(transform(matrix, vertices))
-        assert flat is not None
-        point, normal = flat
-        # The free side of a table is the side the clay is on, whichever way its face is turned.
-        side = float(normal @ (middle - point))
-        if abs(side) < 1e-9:
-            side = normal[2]
-        self._planes.append(FlatCollider(item, point, normal if side >= 0 else -normal))
+        if isinstance(part, FlatCollider):
+            self._planes.append(part)
+        else:
+            part.state(depsgraph)
+            self._meshes.append(part)
 
     # What decides the result ------------------------------------------------------------------
 
@@ -170,11 +176,19 @@ class Simulation:
     def warnings(self) -> list[str]:
         """What the user should know about hands and edits."""
         warnings = [text for hand in self.hands for text in hand.warnings()]
+        if self._absent:
+            names = ", ".join(repr(name) for name in self._absent)
+            warnings.append(
+                f"{names} {'is' if len(self._absent) == 1 else 'are'} off in the viewport (the "
+                "monitor, or a collection), so the clay does not meet "
+                f"{'it' if len(self._absent) == 1 else 'them'}."
+            )
         if self.edited is not None and self.edited.lost:
             warnings.append(
                 f"{self.edited.lost} particles of added clay found no room: the clay moved more "
                 "between strokes than was foreseen."
             )
+        warnings += self.faults.sentences()
         return warnings
 
     # Running ----------------------------------------------------------------------------------
@@ -206,7 +220,7 @@ class Simulation:
             for plane in self._planes:
                 surface = self._surfaces[plane.item.name]
                 point = plane.point * self.scale
-                scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
+                plane.handle = scene.add_plane(point.tolist(), plane.normal.tolist(), **surface)
             for part in self._meshes:
                 vertices, _ = part.state(depsgraph)
                 surface = self._surfaces[part.item.name]
@@ -291,6 +305,7 @@ class Simulation:
         """Advance by a part of a frame, to where `feed` put the colliders."""
         assert self.solver is not None
         self.solver.step(part * self.time_step)
+        self.note_faults()
 
     def reach(self, number: int, *, steps: bool) -> bytes:
         """Bring the scene to a frame from the one before, through the moments between them.
@@ -329,6 +344,15 @@ class Simulation:
 
     def _rebuild(self) -> None:
         self.build(self.prepare(bpy.context.evaluated_depsgraph_get()), self._device)
+
+    def note_faults(self) -> None:
+        """Take down what went wrong in the last step; `warnings` tells it."""
+        assert self.solver is not None
+        names = {id(part.handle): part.item.name for part in self._meshes}
+        names |= {id(hand.handle): hand.item.name for hand in self.hands}
+        names |= {id(part.handle): part.item.name for part in self._planes}
+        frame = None if self.live else self.scene.frame_current
+        self.faults.note(self.solver, names, self.spacing * self.scale, frame)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Everything that decides what the next steps do, as plain arrays."""

@@ -169,6 +169,15 @@ class Contacts:
         if self.meshes and self.meshes.hands:
             self._take_hold()
 
+    def penetrations(self) -> list[tuple[Plane | MeshCollider | Hand, float]]:
+        """How deep particles lie in each collider that they touch [m], where they do."""
+        count = self.slots.count.numpy()
+        held = np.arange(MAX_CONTACTS) < count[:, None]
+        touched = self.slots.collider.numpy()[held]
+        depth = np.zeros(len(self.colliders))
+        np.maximum.at(depth, touched, -self.slots.gap.numpy()[held])
+        return [(self.colliders[i], float(depth[i])) for i in np.flatnonzero(depth > 0.0)]
+
     def force_on(self, which: int, duration: float) -> NDArray[np.float64]:
         """Mean force of the clay on a collider in the last step [N], shape [3].
 

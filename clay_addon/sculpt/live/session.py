@@ -44,6 +44,9 @@ from .undo import UndoStates, push_undo
 if TYPE_CHECKING:
     from ...core.tools.edits import Edit
 
+FAULTS_SHOWN = 5.0
+"""How long the panel tells what went wrong [s]."""
+
 
 class SculptSession:
     """Sculpts the clay of a scene until `finish`.
@@ -77,6 +80,8 @@ class SculptSession:
         """Force of the clay on the hands [N]."""
         self._clock = clock
         self._strokes = StrokeWatch()
+        self._faults: list[str] = []
+        self._faults_since = 0.0
         self._undone = False
         self._finished = False
         self._take = SessionTake(wanted=context.scene.tactile_clay.record_take)
@@ -131,7 +136,7 @@ class SculptSession:
     @property
     def messages(self) -> list[str]:
         """What the user should know, in sentences."""
-        said = [*self._take.messages, self._touch.problem, self.autosave.problem]
+        said = [*self._take.messages, self._touch.problem, self.autosave.problem, *self._faults]
         return [message for message in said if message]
 
     def wait(self) -> None:
@@ -236,6 +241,7 @@ class SculptSession:
         self.pace.took(stepped.duration, stepped.seconds)
         # A step may cover several frames.
         self.budget.took("simulate", stepped.seconds * STEP_SECONDS / stepped.duration)
+        self._note_faults()
         world = stepped.positions / np.float32(self.simulation.scale)
         self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
@@ -243,6 +249,15 @@ class SculptSession:
         self.felt = sum(float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts)
         if self.felt or (stepped.tool_force and self.tools.stroking):
             self._strokes.touched(self._clock())
+
+    def _note_faults(self) -> None:
+        """Tell what went wrong in the last seconds, as long as that is news."""
+        self.simulation.note_faults()
+        now = self._clock()
+        found = list(self.simulation.faults.sentences())
+        if found or now - self._faults_since > FAULTS_SHOWN:
+            self._faults, self._faults_since = found, now
+        self.simulation.faults.clear()
 
     # Undo and saving ----------------------------------------------------------------------------
 

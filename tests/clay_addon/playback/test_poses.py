@@ -24,8 +24,8 @@ from tactile_clay.clay_addon.playback.poses import (
     PoseError,
     key_pose,
     pose_at,
-    pose_times,
     pose_modifier,
+    pose_times,
 )
 from tactile_clay.clay_addon.sculpt.live.surface import LiveSurface
 
