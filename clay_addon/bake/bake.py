@@ -238,6 +238,7 @@ def _bake_frames(
                             if (yield report):
                                 cancelled = True
                                 break
+                    simulation.measure_hands(context.evaluated_depsgraph_get())
                     tally.warnings += simulation.warnings()
                     if simulation.edited is not None:
                         _keep_colors(scene, simulation, cache)

@@ -9,7 +9,8 @@ from mathutils import Matrix
 from ...solver.hand.proportions import REFERENCE_LENGTH
 from ..base.units import from_meters
 from .add_hand import AddHandError, add_hand
-from .hand import make_hand, remove_hand
+from .gap import skin_gap
+from .hand import make_hand, read_hand_rig, remove_hand
 from .reading import HandError, skinned_hand
 
 _GAP = 0.75
@@ -47,10 +48,23 @@ class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
                 skinned_hand(context, item)
             for item in chosen:
                 make_hand(context, item)
+            for item in chosen:
+                self._tell_gap(context, item)
         except HandError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
+
+    def _tell_gap(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
+        depsgraph = context.evaluated_depsgraph_get()
+        gap = skin_gap(item, read_hand_rig(context, item), depsgraph)
+        if gap is not None and gap.too_large:
+            self.report({"WARNING"}, gap.warning(item.name))
+        elif gap is not None:
+            self.report(
+                {"INFO"},
+                f"The flesh of {item.name!r} is within {gap.meters * 1e3:.2g} mm of the mesh shown",
+            )
 
 
 class CLAY_OT_hand_remove(bpy.types.Operator):  # noqa: N801

@@ -5,6 +5,7 @@ from typing import Any
 
 import bpy
 
+from ..base.overridable import overridable
 from ..base.signals import held_frames_changed, wheels_changed
 from ..base.units import from_meters
 from .material_presets import (
@@ -80,6 +81,7 @@ class _MaterialValues:
     __annotations__ = property_declarations(_become_custom)
 
 
+@overridable
 class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     """What an object is to the clay. Lengths are in Blender units, all else in SI units."""
 
@@ -297,7 +299,9 @@ def register() -> None:
     """Register the property groups and hang them on objects and scenes."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Object.tactile_clay = bpy.props.PointerProperty(type=ClayObjectProperties)
+    bpy.types.Object.tactile_clay = bpy.props.PointerProperty(
+        type=ClayObjectProperties, override={"LIBRARY_OVERRIDABLE"}
+    )
     bpy.types.Scene.tactile_clay = bpy.props.PointerProperty(type=ClaySceneProperties)
 
 

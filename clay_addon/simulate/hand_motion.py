@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..base.mesh_geometry import SWITCHED_OFF, is_absent, is_switched_off
+from ..hands.gap import SkinGap, skin_gap
 from ..hands.hand import hand_bone_matrices, hand_message, read_hand_rig
 from ..hands.reading import HandError, hand_armature
 from ..tracking.armature import CONTACT_PROPERTY
@@ -64,6 +65,7 @@ class MovingHand:
         self.handle: Hand | None = None
         self._notice = hand_message(context.scene, item)
         self._dropped: dict[int, str] = {}
+        self._gap: SkinGap | None = None
 
     def digest_parts(self) -> tuple[object, ...]:
         """What decides how the hand works the clay, apart from its motion."""
@@ -127,6 +129,17 @@ class MovingHand:
             self.handle.set_tracked(tracked)
         return HandState(bones, tracked)
 
+    def measure(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Compare the flesh with the mesh that is shown at the current frame.
+
+        Raises:
+            HandError: The hand has lost a bone, or its armature.
+        """
+        if self._tracked(depsgraph):
+            gap = skin_gap(self.item, self.rig, depsgraph)
+            if gap is not None and (self._gap is None or gap.meters > self._gap.meters):
+                self._gap = gap
+
     def held(self) -> NDArray[np.float64]:
         """The last good pose that was given to the solver [m], shape [B, 4, 4]."""
         assert self.handle is not None
@@ -146,6 +159,8 @@ class MovingHand:
     def warnings(self) -> list[str]:
         """What the user should know about the hand's motion."""
         found = [self._notice] if self._notice else []
+        if self._gap is not None and self._gap.too_large:
+            found.append(self._gap.warning(self.item.name))
         if self._dropped:
             first = min(self._dropped)
             count = len(self._dropped)

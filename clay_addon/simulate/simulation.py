@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import bpy
@@ -173,6 +174,12 @@ class Simulation:
             return "colliders'"
         return "colliders' or hands'" if self._meshes else "hands'"
 
+    def measure_hands(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Compare the flesh of hands with what is shown of them now; `warnings` tells it."""
+        with suppress(HandError):
+            for hand in self.hands:
+                hand.measure(depsgraph)
+
     def warnings(self) -> list[str]:
         """What the user should know about hands and edits."""
         warnings = [text for hand in self.hands for text in hand.warnings()]
@@ -228,6 +235,8 @@ class Simulation:
                 part.handle.set_enabled(is_enabled(part.item, depsgraph))
             for hand in self.hands:
                 hand.start(scene, depsgraph)
+                if not self.live:
+                    hand.measure(depsgraph)
             self.follow(depsgraph)
         except HandError as error:
             raise SimulationError(str(error)) from error

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import bpy
 
+from ..base.overridable import overridable
+
 _PRESETS = Path(__file__).parents[2] / "presets" / "arrays"
 
 # A .blend keeps the number, so none may be used for anything else later.
@@ -39,6 +41,7 @@ def is_array(item: bpy.types.Object) -> bool:
     return bool(item.tactile_touch.is_array)
 
 
+@overridable
 class ClayTouchObjectProperties(bpy.types.PropertyGroup):
     """What an object is to touch."""
 
@@ -168,7 +171,9 @@ def register() -> None:
     """Register the property groups and hang them on objects and scenes."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Object.tactile_touch = bpy.props.PointerProperty(type=ClayTouchObjectProperties)
+    bpy.types.Object.tactile_touch = bpy.props.PointerProperty(
+        type=ClayTouchObjectProperties, override={"LIBRARY_OVERRIDABLE"}
+    )
     bpy.types.Scene.tactile_touch = bpy.props.PointerProperty(type=ClayTouchSceneProperties)
 
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,9 @@ from ..geometry.rotations import (
     rotation_and_stretch,
     slerp,
 )
+
+if TYPE_CHECKING:
+    from ..hand.rig import HandRig
 
 Array = NDArray[np.float64]
 
@@ -74,7 +79,26 @@ def _split(linear: Array) -> tuple[Array, Array]:
     """Rotations and stretches of linear maps, shape [B, 3, 3] each."""
     gram = np.swapaxes(linear, 1, 2) @ linear
     rotation, stretch = linear.copy(), np.tile(np.eye(3), (len(linear), 1, 1))
-    # Most bones are rigid, up to rounding.
-    for bone in np.flatnonzero(np.abs(gram - np.eye(3)).max((1, 2)) > 1e-6):
+    # Most bones are rigid, up to rounding. A mirrored one is not, though its axes have length 1:
+    # what mirrors belongs to the stretch.
+    odd = (np.abs(gram - np.eye(3)).max((1, 2)) > 1e-6) | (np.linalg.det(linear) < 0.0)
+    for bone in np.flatnonzero(odd):
         rotation[bone], stretch[bone] = rotation_and_stretch(linear[bone])
     return rotation, stretch
+
+
+def posed_skin(rig: HandRig, bones: Array) -> Array:
+    """The skin of a hand whose bones are in a pose, and whose flesh nothing presses, shape [V, 3].
+
+    Args:
+        rig: The hand.
+        bones: World from each bone's own coordinates, shape [B, 4, 4].
+    """
+    path = BonePath(rig.bone_rest)
+    path.start = bones.copy()
+    path.aim(bones)
+    turns = path.turns(path.poses(1.0)[0])
+    carried = np.einsum("nk,nkij->nij", rig.node_weights, turns[rig.node_bones])
+    nodes = np.einsum("nij,nj->ni", carried[:, :3, :3], rig.nodes) + carried[:, :3, 3]
+    corners = nodes[rig.tetrahedra[rig.vertex_tetrahedron]]
+    return np.einsum("vk,vki->vi", rig.vertex_weights, corners)

@@ -73,9 +73,7 @@ def hide(item: Any, way: str) -> None:
 
 @pytest.mark.parametrize("live", [False, True])
 @pytest.mark.parametrize("way", WAYS_OFF + WAYS_HIDDEN)
-def test_what_is_off_is_not_there_and_what_is_hidden_is(
-    studio: Any, way: str, live: bool
-) -> None:
+def test_what_is_off_is_not_there_and_what_is_hidden_is(studio: Any, way: str, live: bool) -> None:
     """The same in a bake and in a live session; a bake says what it left out."""
     studio.clay()
     hide(block_collider(studio), way)
@@ -211,9 +209,7 @@ def test_a_shelf_through_clay_is_refused_by_name(studio: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["Bat", "Flügel ü.001"])
-def test_a_collider_that_jumps_through_clay_is_told(
-    studio: Any, tmp_path: Path, name: str
-) -> None:
+def test_a_collider_that_jumps_through_clay_is_told(studio: Any, tmp_path: Path, name: str) -> None:
     """With its name, the frame and what to do; one that jumps far from clay is not."""
     studio.clay()
     studio.table()
@@ -250,4 +246,3 @@ def test_clay_squeezed_into_a_collider_is_told(studio: Any, tmp_path: Path) -> N
     assert told, result.warnings
     assert any("'Board'" in text or "'Table'" in text for text in told)
     assert all(" mm inside " in text and "frame" in text for text in told)
-
