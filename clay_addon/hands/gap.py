@@ -16,8 +16,8 @@ from .hand import hand_bone_matrices
 from .reading import HandError
 
 MAX_GAP = 0.025
-"""Flesh farther than this from the shown skin is a fault, over the length of the hand. A fist has two
-thirds of it: Blender's skinning pinches the joints, and flesh does not."""
+"""Flesh farther than this from the shown skin is a fault, over the length of the hand. A fist has
+two thirds of it: Blender's skinning pinches the joints, and flesh does not."""
 
 
 @dataclass(frozen=True)
