@@ -110,8 +110,9 @@ TOOLS = (
         "Level bumps with a palm that keeps to the average surface",
         "level",
         "palm",
-        depth=0.1,
-        size=0.5,
+        # Hardly below the average surface, where it would press a dent of its own.
+        depth=0.03,
+        size=0.8,
         # Like a wet hand: one that sticks would drag the clay along.
         friction=0.05,
     ),

@@ -91,14 +91,24 @@ def test_a_knife_cuts_and_does_not_push() -> None:
     assert np.abs(clay[high, 0]).min() > 0.35 * SPACING
 
 
-def test_smoothing_levels_a_bump() -> None:
-    """Take most of a bump's height away, and little of the surface around."""
-    bench = Bench("SMOOTH", strength=0.5, radius=0.015)
-    bump = np.linalg.norm(bench.mouse.clay[:, :2], axis=1) < 0.006
-    top = bench.mouse.clay[bump & (bench.mouse.clay[:, 2] > 0.01)]
-    points = np.concatenate((bench.mouse.clay, top + np.array((0.0, 0.0, SPACING), np.float32)))
+UNEVEN = {
+    "ridges across": lambda top: top[np.floor(top[:, 0] / SPACING).astype(int) % 4 < 2],
+    "ridges along": lambda top: top[np.floor(top[:, 1] / SPACING).astype(int) % 4 < 2],
+    "a ridge": lambda top: top[np.abs(top[:, 0]) < 1.1 * SPACING],
+    "a bump": lambda top: top[np.linalg.norm(top[:, :2], axis=1) < 0.006],
+    "nothing": lambda top: top[:0],
+}
+"""Which particles of the block's upper layer have one more above them."""
+
+
+def smoothing_bench(uneven: str, material: str, radius: float) -> Bench:
+    """A brush that smooths, and a block whose upper side is uneven."""
+    bench = Bench("SMOOTH", strength=0.5, radius=radius)
+    top = bench.mouse.clay[bench.mouse.clay[:, 2] > 0.01]
+    more = UNEVEN[uneven](top) + np.array((0.0, 0.0, SPACING), np.float32)
+    points = np.concatenate((bench.mouse.clay, more))
     scene = Scene(spacing=SPACING)
-    scene.add_clay(points, Material.preset("plasticine"))
+    scene.add_clay(points, Material.preset(material))
     scene.add_plane((0, 0, -bench.top), (0, 0, 1), friction=0.5)
     bench.colliders = [
         scene.add_mesh(mesh.vertices, mesh.faces, friction=mesh.friction)
@@ -107,12 +117,36 @@ def test_smoothing_levels_a_bump() -> None:
     bench.colliders[0].set_enabled(False)
     bench.solver = Solver(scene)
     bench.mouse.clay = points
-    before = bench.height(0.0, 0.0) - bench.height(0.025, 0.0)
-    assert before == pytest.approx(SPACING, rel=0.1)
-    for _ in range(2):
-        bench.stroke((-0.02, 0.0), (0.02, 0.0), (-0.02, 0.0))
-    assert bench.height(0.0, 0.0) - bench.height(0.025, 0.0) < 0.4 * before
-    assert bench.height(0.025, 0.0) > 0.015 - 0.6 * SPACING
+    return bench
+
+
+def relief(bench: Bench) -> Any:
+    """Heights of the middle of the upper side, in spacings."""
+    places = [
+        (x, y) for x in np.arange(-0.02, 0.0201, 0.0025) for y in np.arange(-0.01, 0.0101, 0.0025)
+    ]
+    return np.array([bench.height(*place) for place in places]) / SPACING
+
+
+@pytest.mark.parametrize("radius", [0.015, 0.02])
+@pytest.mark.parametrize("material", ["plasticine", "wet_clay"])
+@pytest.mark.parametrize("uneven", list(UNEVEN))
+def test_smoothing_lowers_what_is_uneven_and_leaves_no_mark(
+    uneven: str, material: str, radius: float
+) -> None:
+    """Each pair of strokes evens the surface; a flat one stays; the clay keeps its volume."""
+    bench = smoothing_bench(uneven, material, radius)
+    before = relief(bench)
+    for y in (0.0, -0.008, 0.008):
+        bench.stroke((-0.024, y), (0.024, y), (-0.024, y))
+    after = relief(bench)
+    if uneven == "nothing":
+        assert np.ptp(after) < 0.1
+        assert abs(after.mean() - before.mean()) < 0.05
+    else:
+        assert after.std() < 0.6 * before.std()
+        assert after.min() > before.min() - 0.9
+    assert abs(bench.solver.diagnostics().volume_error) < 0.01
 
 
 def test_a_pinch_raises_clay() -> None:
