@@ -102,7 +102,7 @@ def read_hand_rig(context: bpy.types.Context, item: bpy.types.Object) -> HandRig
     change = changed_part(context, item, stored)
     if change:
         raise HandError(
-            f"{item.name!r} has changed since it was bound: {change}. Press Make Clay Hand again."
+            f"{item.name!r} no longer matches its binding: {change}. Press Make Clay Hand again."
         )
     return stored.rig
 

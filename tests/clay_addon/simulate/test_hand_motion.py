@@ -269,8 +269,8 @@ def test_hand_is_known_wherever_roles_are(studio: Any, hand: Any) -> None:
     assert "Right hand" in drawn(CLAY_PT_hands)
     studio.scene.objects["Clay"].tactile_clay.spacing = 0.02
     (warning,) = bake(bpy.context, end=2).warnings
-    assert "bound for clay of another spacing" in warning
+    assert "bound for clay with another particle spacing" in warning
     studio.block(location=(0.5, 0.0, 0.0))
     bpy.context.object.tactile_clay.role = "HAND"
-    with pytest.raises(BakeError, match=r"'Cube\.001' is no clay hand\. Press Make Clay Hand"):
+    with pytest.raises(BakeError, match=r"'Cube\.001' is not a clay hand\. Press Make Clay Hand"):
         bake(bpy.context, end=2)
