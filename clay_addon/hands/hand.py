@@ -148,8 +148,8 @@ def hand_message(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
             return f"{item.name!r} has changed since it was bound. Press Make Clay Hand again."
     except HandError as error:
         return str(error)
-    bound_for, wanted = 2.0 * stored_spacing(item.data), scene_spacing(scene)
-    if abs(bound_for - to_meters(scene, wanted)) > 0.01 * bound_for:
+    bound = 2.0 * stored_spacing(item.data)
+    if abs(bound - to_meters(scene, scene_spacing(scene))) > 0.01 * bound:
         return (
             f"{item.name!r} was bound for clay with another particle spacing. Press Make Clay Hand "
             "again, so that it fits this clay."

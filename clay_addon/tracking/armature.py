@@ -30,7 +30,7 @@ def is_hand(item: bpy.types.Object) -> bool:
 
 
 def side_of(armature: bpy.types.Object) -> str:
-    """The side in an armature's name, or else in its bones' names; empty if they do not tell."""
+    """The side in an armature's name, or else in its bones' names; empty if ambiguous."""
     return side_of_rig(armature.name, armature.data.bones.keys())
 
 

@@ -274,11 +274,11 @@ def _embedded(
     root_group = 1 + parts.finger_count
     group = flesh.part + root_group * flesh.at_root
     part = parts.part[nearest]
-    wanted = np.column_stack([part, part])
+    allowed = np.column_stack([part, part])
     if parts.finger_count:
         root = np.where(part == PALM, 1 + parts.beyond[nearest].argmin(1), part)
-        wanted[:, 1] = root_group + root
-    carrier, outside = carriers(points, flesh.tetrahedra, group, wanted, cell)
+        allowed[:, 1] = root_group + root
+    carrier, outside = carriers(points, flesh.tetrahedra, group, allowed, cell)
     if (carrier < 0).any() or outside.min() < -MAX_OUTSIDE:
         raise ValueError(
             f"A lattice cell of {cell:.3g} m is too coarse for this hand: parts of its skin are "

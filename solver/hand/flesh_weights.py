@@ -30,7 +30,7 @@ def flesh_weights(
     carrier: NDArray[np.int32],
     share: NDArray[np.float64],
     points: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    skin_weights: NDArray[np.float64],
     joints: NDArray[np.float64],
     parents: NDArray[np.int32],
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -41,7 +41,7 @@ def flesh_weights(
         carrier: Tetrahedron of each of S points of the skin, shape [S].
         share: Their barycentric coordinates in it, shape [S, 4].
         points: Positions of the points [m], shape [S, 3].
-        wanted: Bone weights of the points, rows summing to one, shape [S, B].
+        skin_weights: Bone weights of the points, rows summing to one, shape [S, B].
         joints: The point about which each bone rotates [m], shape [B, 3].
         parents: Index of each bone's parent, -1 for a root, shape [B]; parents before children.
 
@@ -49,8 +49,8 @@ def flesh_weights(
         Bones of each node, shape [N, 4], and their weights, rows summing to one, shape [N, 4].
     """
     couplings = _Couplings(flesh, flesh.corners[carrier], share)
-    bone_count, node_count = wanted.shape[1], len(flesh.points)
-    beyond = wanted.copy()
+    bone_count, node_count = skin_weights.shape[1], len(flesh.points)
+    beyond = skin_weights.copy()
     for bone in range(bone_count - 1, -1, -1):
         if parents[bone] >= 0:
             beyond[:, parents[bone]] += beyond[:, bone]

@@ -134,14 +134,14 @@ def track(arguments: argparse.Namespace) -> str:
     if arguments.setup:
         from .sources.mediapipe_setup import default_environment, set_up
 
-        set_up(arguments.environment or default_environment(), tell=_tell)
+        set_up(arguments.environment or default_environment(), report=_report)
         return ""
     source = arguments.open_source(arguments)
     if arguments.attached:
         threading.Thread(target=_wait_for_end, args=(sys.stdin,), daemon=True).start()
     recorder = Recorder(arguments.record) if arguments.record else None
     sender = Sender(arguments.port)
-    _tell(f"Sending hands to port {arguments.port} of this machine. Press Ctrl-C to stop.")
+    _report(f"Sending hands to port {arguments.port} of this machine. Press Ctrl-C to stop.")
     try:
         with contextlib.suppress(KeyboardInterrupt):
             run(source, sender, recorder=recorder, duration=arguments.duration)
@@ -162,7 +162,7 @@ def _wait_for_end(stream: TextIO) -> None:
     _thread.interrupt_main()
 
 
-def _tell(text: str) -> None:
+def _report(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 

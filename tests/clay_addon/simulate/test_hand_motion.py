@@ -178,7 +178,7 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     assert "hand      Right hand: right, " in status_text(table)
 
     hand.data.vertices[0].co.z += 0.01
-    with pytest.raises(BakeError, match=r"'Right hand' is not .* Press Make Clay Hand again"):
+    with pytest.raises(BakeError, match=r"'Right hand' no longer .* Press Make Clay Hand again"):
         bake(bpy.context, end=end)
     assert "mesh has changed" in scene_status(bpy.context)["hands"][0]["problem"]
 

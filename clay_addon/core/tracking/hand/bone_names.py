@@ -65,7 +65,7 @@ def side_of_rig(rig_name: str, bone_names: Iterable[str]) -> str:
         bone_names: Names of its bones, such as ``LeftHandIndex1``.
 
     Returns:
-        Left or right; empty if the names do not tell.
+        Left or right; empty if the names are ambiguous.
     """
     return _side_of_names([rig_name]) or _side_of_names(bone_names)
 

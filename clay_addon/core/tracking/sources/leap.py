@@ -29,21 +29,21 @@ def leap_service(
     address: str = ADDRESS,
     *,
     sleep: Callable[[float], object] = time.sleep,
-    tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+    report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
 ) -> Generator[Sighting, None, None]:
     """Yield the service's hands, without end; reconnects when the service comes and goes.
 
     Args:
         address: Address of the websocket.
         sleep: Waits for a number of seconds.
-        tell: Receives messages when the service cannot be reached.
+        report: Receives messages when the service cannot be reached.
 
     Raises:
         TrackingError: The websockets library is missing, or the service speaks another protocol.
     """
     client, exceptions = _library()
     hands = LeapHands()
-    told = ""
+    reported = ""
     while True:
         try:
             with client.connect(
@@ -51,7 +51,7 @@ def leap_service(
             ) as connection:
                 for setting in ({"enableGestures": False}, {"background": True}, {"focused": True}):
                     connection.send(json.dumps(setting))
-                told = ""
+                reported = ""
                 clock = ClockMap()
                 while True:
                     try:
@@ -65,9 +65,9 @@ def leap_service(
                         yield seen
         except (OSError, exceptions.WebSocketException) as error:
             text = f"The Leap service does not respond at {address} ({error}); waiting for it."
-            if text != told:
-                tell(text)
-                told = text
+            if text != reported:
+                report(text)
+                reported = text
             yield sighting([])
             sleep(_WAIT_SECONDS)
 

@@ -126,14 +126,14 @@ def leapc(
     library: str | None = None,
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
-    tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+    report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
 ) -> Generator[Sighting, None, None]:
     """Yield the hands of the Ultraleap tracking service, without end.
 
     Args:
         library: Path of LeapC; by default searched for where Ultraleap's installers put it.
         clock: The time [ns].
-        tell: Receives messages when the service or the device connects or disconnects.
+        report: Receives messages when the service or the device connects or disconnects.
 
     Raises:
         TrackingError: LeapC cannot be loaded, or cannot connect.
@@ -158,7 +158,7 @@ def leapc(
             if message.type == _TRACKING and message.event:
                 yield _sighting(functions, message.event, clock)
             else:
-                _tell(message.type, tell)
+                _report(message.type, report)
     finally:
         functions.LeapCloseConnection(connection)
         functions.LeapDestroyConnection(connection)
@@ -215,7 +215,7 @@ def _check(code: int, action: str) -> None:
         raise TrackingError(f"LeapC could not {action} (code {code:#010x}).")
 
 
-def _tell(kind: int, tell: Callable[[str], None]) -> None:
+def _report(kind: int, report: Callable[[str], None]) -> None:
     texts = {
         _CONNECTED: "Connected to the Ultraleap service.",
         _CONNECTION_LOST: "Lost the connection to the Ultraleap service; waiting for it.",
@@ -223,7 +223,7 @@ def _tell(kind: int, tell: Callable[[str], None]) -> None:
         _DEVICE_LOST: "The tracking device was disconnected.",
     }
     if kind in texts:
-        tell(texts[kind])
+        report(texts[kind])
 
 
 def _sighting(functions: Any, event: int, clock: Callable[[], int]) -> Sighting:

@@ -55,36 +55,36 @@ def environment_python(folder: Path) -> Path:
     return python
 
 
-def set_up(folder: Path, *, tell: Callable[[str], None] = print) -> None:
+def set_up(folder: Path, *, report: Callable[[str], None] = print) -> None:
     """Create the environment (650 MB); a complete one is left as it is.
 
     Args:
         folder: Folder of the environment.
-        tell: Receives progress messages.
+        report: Receives progress messages.
 
     Raises:
         TrackingError: It cannot be created; the message includes pip's output.
     """
     if (folder / _DONE).is_file():
-        tell(f"MediaPipe is already set up in {folder}.")
+        report(f"MediaPipe is already set up in {folder}.")
         return
     if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").is_file():
         raise TrackingError(
             f"{folder} is not an environment; choose an empty folder with --environment."
         )
-    tell(f"Creating an environment in {folder} …")
+    report(f"Creating an environment in {folder} …")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         venv.create(folder, with_pip=True, clear=True)
     except (OSError, subprocess.CalledProcessError) as error:
         raise TrackingError(f"Cannot create an environment in {folder} ({error}).") from error
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    tell(f"Installing {RUNTIME} …")
+    report(f"Installing {RUNTIME} …")
     _pip(python, "install", RUNTIME)
-    tell("Fetching the hand models …")
+    report("Fetching the hand models …")
     make_model(python, folder / MODEL)
     (folder / _DONE).write_text(f"{RUNTIME}\n", encoding="utf-8")
-    tell("Done. Try: tactile-clay track mediapipe --camera 0")
+    report("Done. Try: tactile-clay track mediapipe --camera 0")
 
 
 def make_model(python: Path, target: Path) -> None:

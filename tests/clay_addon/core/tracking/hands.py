@@ -38,7 +38,7 @@ LEAP_RECORDINGS = Path(__file__).resolve().parents[5] / "shared" / "data" / "lea
 
 
 class Clock:
-    """A clock that only advances when told to [ns]."""
+    """A clock that advances only by `turn` [ns]."""
 
     def __init__(self, now: int = 10_000 * MILLISECOND) -> None:
         self.now = now

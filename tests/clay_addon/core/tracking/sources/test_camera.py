@@ -121,7 +121,7 @@ def test_missing_file_and_missing_setup_are_explained(environment: Path, tmp_pat
 def test_setup_leaves_other_folders_alone(environment: Path, tmp_path: Path) -> None:
     """Do nothing if it is already set up, and refuse a folder with other content."""
     messages: list[str] = []
-    set_up(environment, tell=messages.append)
+    set_up(environment, report=messages.append)
     assert messages == [f"MediaPipe is already set up in {environment}."]
     letters = tmp_path / "letters"
     letters.mkdir()
@@ -140,7 +140,7 @@ def test_setup_that_fails_can_be_tried_again(
     monkeypatch.setattr("venv.create", lambda path, **_: (path / "bin").mkdir(parents=True))
     monkeypatch.setattr(mediapipe_setup, "_pip", _failing)
     with pytest.raises(TrackingError, match="no such package"):
-        set_up(folder, tell=lambda _: None)
+        set_up(folder, report=lambda _: None)
     with pytest.raises(TrackingError, match="not set up"):
         environment_python(folder)
 

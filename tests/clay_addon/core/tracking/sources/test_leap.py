@@ -78,11 +78,11 @@ def test_hands_are_read_from_the_service(service: tuple[Service, str]) -> None:
 
 
 def test_lost_connection_is_restored(service: tuple[Service, str]) -> None:
-    """Reconnect after the service closed the connection, and tell that it is waited for."""
+    """Reconnect after the service closed the connection, and report that it is waited for."""
     behavior, address = service
     behavior.frames = frames(2)
     messages: list[str] = []
-    stream = leap_service(address, sleep=lambda _: None, tell=messages.append)
+    stream = leap_service(address, sleep=lambda _: None, report=messages.append)
     seen = [item for item in islice(stream, 8) if item.frames]
     stream.close()
     assert behavior.connections >= 2
@@ -91,9 +91,9 @@ def test_lost_connection_is_restored(service: tuple[Service, str]) -> None:
 
 
 def test_absent_service_is_waited_for() -> None:
-    """Keep reporting absent hands, and tell the reason once."""
+    """Keep reporting absent hands, and give the reason once."""
     messages: list[str] = []
-    stream = leap_service("ws://127.0.0.1:9/v6.json", sleep=lambda _: None, tell=messages.append)
+    stream = leap_service("ws://127.0.0.1:9/v6.json", sleep=lambda _: None, report=messages.append)
     seen = list(islice(stream, 3))
     stream.close()
     assert all(set(item.absent) == {"left", "right"} for item in seen)

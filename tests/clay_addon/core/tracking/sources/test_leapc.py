@@ -52,7 +52,7 @@ def test_hands_are_read_from_the_library(library: Path) -> None:
     """Read both hands at the time they were seen, with wrist, metacarpals and widths."""
     now = 50_000 * MILLISECOND
     messages: list[str] = []
-    stream = leapc(str(library), clock=lambda: now, tell=messages.append)
+    stream = leapc(str(library), clock=lambda: now, report=messages.append)
     first, both, corrupt, silent = islice(stream, 4)
     stream.close()
     assert set(first.absent) == set(silent.absent) == {"left", "right"}
