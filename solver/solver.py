@@ -286,7 +286,7 @@ class Solver:
         for hand in self._hands:
             hand.gather(self._contacts.slots, time_step)
             if substep == substeps - 1:
-                hand.learn_compliance(self._contacts.slots)
+                hand.measure_compliance(self._contacts.slots)
         self._time_step_before = self._contacts.time_step = time_step
 
     def positions(self) -> NDArray[np.float32]:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay hands in Blender: making, reading, storing and checking them."""
+"""Clay hands in Blender: creating, binding, storing and checking them."""

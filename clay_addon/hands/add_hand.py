@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand in Blender: an armature of OpenXR's 26 joints that carries a generated skin.
+"""The default hand in Blender: an armature with OpenXR's 26 joints that deforms a generated skin.
 
-A bone's -Z runs along the finger and its +Y comes out of the back of the hand, as trackers give
-joints; so bones are shown by a shape of their own that points along -Z. Turning a bone about its X
-bends the finger.
+A bone's -Z points along the finger and its +Y out of the back of the hand, as in OpenXR. Blender
+draws bones along +Y, so they get a custom shape that points along -Z. Rotating a bone about its X
+axis bends the finger.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .look import add_hand_look
 
 _BONE_SHAPE = "Clay hand bone"
 _BONE_LENGTH = 0.008
-"""Of a bone as Blender keeps it: along +Y, where no finger is, so that it says nothing [m]."""
+"""Length of each bone along its +Y in Blender, which has no meaning for the hand [m]."""
 
 
 class AddHandError(TactileClayError):
@@ -38,24 +38,24 @@ def add_hand(
     proportions: HandProportions = AVERAGE,
     matrix: Matrix | None = None,
 ) -> bpy.types.Object:
-    """Add the default hand, bound for the scene's clay.
+    """Add the default hand and bind it for the scene's clay.
 
     Args:
-        context: Its collection takes the hand; it must be in Object Mode.
+        context: The hand is added to its collection; it must be in Object Mode.
         side: "right" or "left".
         length: From the wrist joint to the tip of the straight middle finger [m].
         proportions: Sizes of the hand's parts relative to each other.
-        matrix: World from hand [Blender units]: where the wrist is and how it is turned.
+        matrix: World matrix of the hand, whose origin is the wrist [Blender units].
 
     Returns:
-        The mesh; its parent is the armature.
+        The mesh object; its parent is the armature.
 
     Raises:
-        AddHandError: Something the solver needs is missing, or the side or the size make no hand.
+        AddHandError: A library that the solver needs is missing, or the side or length is invalid.
         HandError: The hand cannot be bound.
     """
-    for sentence in missing_parts():
-        raise AddHandError(sentence)
+    for message in missing_parts():
+        raise AddHandError(message)
     try:
         hand = default_hand(side, length=length, proportions=proportions)
     except ValueError as error:
@@ -116,18 +116,17 @@ def _add_armature(
 
 
 def _bone_lengths(hand: SkinnedHand) -> dict[str, float]:
-    """How far it is from each bone to the next of its finger [m]."""
+    """Distance from each bone to the next one of its finger, by bone name [m]."""
     lengths = dict.fromkeys(hand.bone_names, _BONE_LENGTH)
-    places = hand.bone_rest[:, :3, 3]
+    heads = hand.bone_rest[:, :3, 3]
     for bone, parent in enumerate(hand.bone_parent):
         if parent > 0:
-            way = float(np.linalg.norm(places[bone] - places[parent]))
-            lengths[hand.bone_names[parent]] = way
+            lengths[hand.bone_names[parent]] = float(np.linalg.norm(heads[bone] - heads[parent]))
     return lengths
 
 
 def _bone_shape() -> bpy.types.Object:
-    """An octahedron of unit length along -Z, in no scene."""
+    """The bones' custom shape: an octahedron of unit length along -Z, not linked to any scene."""
     shape = bpy.data.objects.get(_BONE_SHAPE)
     if shape is not None:
         return shape

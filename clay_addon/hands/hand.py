@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay hands: rigged meshes that work the clay, bound once and posed by their armature."""
+"""Clay hands: rigged meshes that shape the clay, bound once and posed by their armature."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.hand.rig import HandRig
-from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off
 from ..base.preferences import missing_parts
 from ..base.units import pose_to_meters, to_meters
+from ..core.tracking.hand.bone_names import side_of_rig
 from .changes import changed_part, source_digest
 from .reading import HandError, armature_matrix, hand_armature, skinned_hand, weights_digest
 from .store import (
@@ -28,7 +28,7 @@ from .store import (
 
 
 def hand_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The clay hands of a scene, by name."""
+    """The clay hands of a scene, sorted by name."""
     found = [
         item for item in scene.objects if item.type == "MESH" and item.tactile_clay.role == "HAND"
     ]
@@ -42,29 +42,32 @@ def make_hand(
     side: str = "",
     clay_spacing: float | None = None,
 ) -> bpy.types.Object:
-    """Bind a rigged mesh, so that it works the clay; binding again replaces what was bound.
+    """Bind a rigged mesh as a clay hand; an existing binding is replaced.
 
     Args:
-        context: Where the object is.
+        context: Context with the object's scene.
         item: A closed mesh object with an Armature modifier.
-        side: "left" or "right"; told by the names of object and bones where not given.
-        clay_spacing: Distance of the clay's particles [Blender units]; that of the scene's clay
-            where not given.
+        side: "left" or "right"; by default derived from the names of the object and the bones.
+        clay_spacing: Particle spacing of the clay [Blender units]; by default that of the scene's
+            clay.
+
+    Returns:
+        The object.
 
     Raises:
-        HandError: The object cannot be a hand; it stays as it was.
+        HandError: The object cannot be a hand; it is left unchanged.
     """
     from ...solver.hand.binding import bind_hand
 
-    for sentence in missing_parts():
-        raise HandError(sentence)
+    for message in missing_parts():
+        raise HandError(message)
     if item.library is not None or (item.data is not None and item.data.library is not None):
         raise HandError(
-            f"{item.name!r} is linked from another file, so this one would not keep what is bound. "
-            "Make it local (Object > Relations > Make Local), or bind it there."
+            f"{item.name!r} is linked from another file, so its binding would not be saved here. "
+            "Make it local (Object > Relations > Make Local), or bind it in that file."
         )
     hand = skinned_hand(context, item)
-    hand = replace(hand, side=side or _side_of(item, hand))
+    hand = replace(hand, side=side or side_of_rig(item.name, hand.bone_names))
     spacing = scene_spacing(context.scene) if clay_spacing is None else clay_spacing
     try:
         rig = bind_hand(hand, clay_spacing=to_meters(context.scene, spacing))
@@ -78,7 +81,7 @@ def make_hand(
 
 
 def remove_hand(item: bpy.types.Object) -> None:
-    """Let an object no longer work the clay, and drop what was bound unless others use it."""
+    """Turn a hand back into a plain object; its binding is deleted unless another hand uses it."""
     item.tactile_clay.role = "NONE"
     users = [
         other
@@ -90,16 +93,16 @@ def remove_hand(item: bpy.types.Object) -> None:
 
 
 def read_hand_rig(context: bpy.types.Context, item: bpy.types.Object) -> HandRig:
-    """The hand as it was bound [m].
+    """Read a bound hand [m].
 
     Raises:
-        HandError: It is not bound, or something changed since; the message says what.
+        HandError: It is not bound, or has changed since; the message says how.
     """
     stored = _loaded(item)
     change = changed_part(context, item, stored)
     if change:
         raise HandError(
-            f"{item.name!r} is not the hand that was bound: {change}. Press Make Clay Hand again."
+            f"{item.name!r} no longer matches its binding: {change}. Press Make Clay Hand again."
         )
     return stored.rig
 
@@ -107,10 +110,10 @@ def read_hand_rig(context: bpy.types.Context, item: bpy.types.Object) -> HandRig
 def hand_bone_matrices(
     item: bpy.types.Object, depsgraph: bpy.types.Depsgraph
 ) -> dict[str, NDArray[np.float64]]:
-    """World from each bone's own coordinates at the current frame [m], by name, shape [4, 4].
+    """Matrix of each bone at the current frame, bone to world [m], by bone name, shape [4, 4].
 
     Raises:
-        HandError: The hand has lost its armature, or a bone's place is not finite.
+        HandError: The hand has no armature or is disabled, or a bone's matrix is not finite.
     """
     rig = hand_armature(item)
     for part in (item, rig):
@@ -125,36 +128,37 @@ def hand_bone_matrices(
         matrix = world @ np.array(bone.matrix, np.float64)
         if not np.isfinite(matrix).all():
             raise HandError(
-                f"The bone {bone.name!r} of {rig.name!r} is not finite (NaN or infinite) at frame "
-                f"{depsgraph.scene.frame_current}."
+                f"The matrix of bone {bone.name!r} of {rig.name!r} is not finite (NaN or infinite) "
+                f"at frame {depsgraph.scene.frame_current}."
             )
         matrices[bone.name] = pose_to_meters(depsgraph.scene, matrix)
     return matrices
 
 
 def hand_message(scene: bpy.types.Scene, item: bpy.types.Object) -> str:
-    """What is wrong with a clay hand at a glance, as a sentence; empty where nothing seems to be.
+    """Quickly check a clay hand, for panels; `read_hand_rig` checks thoroughly.
 
-    `read_hand_rig` looks closer.
+    Returns:
+        The problem as a sentence; empty if there is none.
     """
     if not is_stored(item.data):
-        return f"{item.name!r} is no clay hand. Press Make Clay Hand."
+        return f"{item.name!r} is not a clay hand. Press Make Clay Hand."
     try:
         if source_digest(item) != stored_source(item.data):
             return f"{item.name!r} has changed since it was bound. Press Make Clay Hand again."
     except HandError as error:
         return str(error)
-    bound_for, wanted = 2.0 * stored_spacing(item.data), scene_spacing(scene)
-    if abs(bound_for - to_meters(scene, wanted)) > 0.01 * bound_for:
+    bound = 2.0 * stored_spacing(item.data)
+    if abs(bound - to_meters(scene, scene_spacing(scene))) > 0.01 * bound:
         return (
-            f"{item.name!r} was bound for clay of another spacing. Press Make Clay Hand again, so "
-            "that it fits this clay."
+            f"{item.name!r} was bound for clay with another particle spacing. Press Make Clay Hand "
+            "again, so that it fits this clay."
         )
     return ""
 
 
 def scene_spacing(scene: bpy.types.Scene) -> float:
-    """Distance of particles of the clay in a scene, or else of new clay [Blender units]."""
+    """Particle spacing of the clay in a scene, or else of new clay [Blender units]."""
     spacings = [
         item.tactile_clay.spacing
         for item in scene.objects
@@ -165,23 +169,8 @@ def scene_spacing(scene: bpy.types.Scene) -> float:
 
 def _loaded(item: bpy.types.Object) -> StoredHand:
     if item.type != "MESH" or item.tactile_clay.role != "HAND" or not is_stored(item.data):
-        raise HandError(f"{item.name!r} is no clay hand. Press Make Clay Hand.")
+        raise HandError(f"{item.name!r} is not a clay hand. Press Make Clay Hand.")
     try:
         return load_hand(item.data)
     except ValueError as error:
         raise HandError(f"{item.name!r}: {error}. Press Make Clay Hand again.") from error
-
-
-def _side_of(item: bpy.types.Object, hand: SkinnedHand) -> str:
-    """Tell the side by names such as l_hand, Hand.R or LeftHandIndex1."""
-    words = [item.name, *hand.bone_names]
-    for side, letter in (("left", "l"), ("right", "r")):
-        for word in words:
-            lowered = word.lower()
-            if (
-                side in lowered
-                or lowered.startswith(f"{letter}_")
-                or lowered.endswith((f".{letter}", f"_{letter}"))
-            ):
-                return side
-    return ""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the default hand looks: skin with fingernails that are drawn, not modelled.
+"""The default hand's material: skin with fingernails that are shaded, not modeled.
 
-Nails are finer than the skin's triangles. So every vertex of a fingertip keeps where it is in the
-frame of its nail, which the material, being evaluated at every pixel, turns into a sharp outline.
+Nails are finer than the skin's triangles. Each vertex of a fingertip therefore stores its position
+in the nail's frame, from which the material computes a sharp outline for every pixel.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ _NAIL = "nail"
 _SKIN_COLOR = (0.56, 0.33, 0.23, 1.0)
 _NAIL_COLOR = (0.70, 0.44, 0.36, 1.0)
 _EDGE_COLOR = (0.80, 0.66, 0.56, 1.0)
-_AWAY = (9.0, 9.0, -9.0)
-"""In the frame of a nail, where no nail is."""
+_NO_NAIL = (9.0, 9.0, -9.0)
+"""Nail coordinates of vertices far from every nail."""
 
 
 def add_hand_look(mesh: bpy.types.Mesh, hand: SkinnedHand) -> None:
-    """Give the default hand its material and its nails.
+    """Give the default hand its material and nail coordinates.
 
     Args:
-        mesh: Has the hand's vertices in their order.
+        mesh: Mesh with the hand's vertices in the same order.
         hand: The default hand.
     """
     mesh.materials.append(_material())
@@ -35,12 +35,12 @@ def add_hand_look(mesh: bpy.types.Mesh, hand: SkinnedHand) -> None:
 
 
 def nail_coordinates(hand: SkinnedHand) -> NDArray[np.float64]:
-    """Place of each vertex in the frame of its finger's nail, shape [V, 3].
+    """Coordinates of each vertex in the frame of its finger's nail, shape [V, 3].
 
-    A nail reaches from -1 to 1 across the finger and along it; the third coordinate is the height
-    over the bone in radii of the fingertip.
+    A nail extends from -1 to 1 across and along the finger; the third coordinate is the height
+    above the bone in radii of the fingertip.
     """
-    coordinates = np.tile(np.array(_AWAY), (len(hand.vertices), 1))
+    coordinates = np.tile(np.array(_NO_NAIL), (len(hand.vertices), 1))
     for bone, name in enumerate(hand.bone_names):
         if not name.endswith("distal"):
             continue
@@ -69,11 +69,11 @@ def _material() -> bpy.types.Material:
     material.diffuse_color = _SKIN_COLOR
     tree = material.node_tree
     shader = tree.nodes["Principled BSDF"]
-    place = tree.nodes.new("ShaderNodeAttribute")
-    place.attribute_name = _NAIL
-    parts = tree.nodes.new("ShaderNodeSeparateXYZ")
-    tree.links.new(place.outputs["Vector"], parts.inputs["Vector"])
-    across, along, up = parts.outputs
+    attribute = tree.nodes.new("ShaderNodeAttribute")
+    attribute.attribute_name = _NAIL
+    components = tree.nodes.new("ShaderNodeSeparateXYZ")
+    tree.links.new(attribute.outputs["Vector"], components.inputs["Vector"])
+    across, along, up = components.outputs
 
     def math(operation: str, *values: object) -> bpy.types.NodeSocket:
         node = tree.nodes.new("ShaderNodeMath")
@@ -99,7 +99,7 @@ def _material() -> bpy.types.Material:
                 tree.links.new(value, socket)
         return node.outputs[2]
 
-    # An outline between an ellipse and a rectangle, on the back of the finger only.
+    # A superellipse, on the back of the finger only.
     distance = math("ADD", power(across, 2.6), power(along, 2.6))
     inside = math("MULTIPLY_ADD", distance, -9.0, 9.0)
     inside.node.use_clamp = True
@@ -107,8 +107,8 @@ def _material() -> bpy.types.Material:
     edge = math("GREATER_THAN", along, 0.72)
     color = mix(nail, _SKIN_COLOR, mix(edge, _NAIL_COLOR, _EDGE_COLOR))
     tree.links.new(color, shader.inputs["Base Color"])
-    rough = math("MULTIPLY_ADD", nail, -0.25, 0.5)
-    tree.links.new(rough, shader.inputs["Roughness"])
+    roughness = math("MULTIPLY_ADD", nail, -0.25, 0.5)
+    tree.links.new(roughness, shader.inputs["Roughness"])
     bump = tree.nodes.new("ShaderNodeBump")
     bump.inputs["Distance"].default_value = 0.0004
     tree.links.new(nail, bump.inputs["Height"])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make Clay Hand, Add Clay Hand and their undoing."""
+"""The operators Make Clay Hand, Remove Clay Hand and Add Clay Hand."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from .hand import make_hand, read_hand_rig, remove_hand
 from .reading import HandError, skinned_hand
 
 _GAP = 0.75
-"""Way from the middle to each of two hands, in lengths of a hand."""
+"""Distance from the 3D cursor to each of two hands, in lengths of a hand."""
 
 
 def _chosen(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Selected meshes, and those that selected armatures carry."""
+    """Meshes deformed by selected armatures, and all other selected objects except armatures."""
     selected = list(context.selected_objects)
-    carried = [
+    deformed = [
         item
         for item in context.view_layer.objects
         if item.type == "MESH"
         and any(m.type == "ARMATURE" and m.object in selected for m in item.modifiers)
     ]
-    others = [item for item in selected if item.type != "ARMATURE" and item not in carried]
-    return [*carried, *others]
+    others = [item for item in selected if item.type != "ARMATURE" and item not in deformed]
+    return [*deformed, *others]
 
 
 class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
-    """Bind the selected rigged mesh, so that it works the clay as a soft hand"""
+    """Bind the selected rigged meshes, so that they shape the clay as soft hands"""
 
     bl_idname = "clay.hand_make"
     bl_label = "Make Clay Hand"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Bind all selected meshes, or none and report why."""
+        """Bind all selected meshes, or report why one cannot be bound."""
         chosen = _chosen(context)
         if not chosen:
             self.report({"ERROR"}, "Nothing is selected. Select a rigged hand first.")
@@ -68,14 +68,14 @@ class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_hand_remove(bpy.types.Operator):  # noqa: N801
-    """Let the selected hands no longer work the clay; mesh and armature stay"""
+    """Stop the selected hands from shaping the clay; meshes and armatures are kept"""
 
     bl_idname = "clay.hand_remove"
     bl_label = "Remove Clay Hand"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Unmark all selected hands."""
+        """Remove the bindings of all selected hands."""
         hands = [item for item in _chosen(context) if item.tactile_clay.role == "HAND"]
         if not hands:
             self.report({"ERROR"}, "No clay hand is selected.")
@@ -86,7 +86,7 @@ class CLAY_OT_hand_remove(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
-    """Add a hand that works the clay, with an armature for tracking or keyframes"""
+    """Add a hand that shapes the clay, with an armature for tracking or keyframes"""
 
     bl_idname = "clay.hand_add"
     bl_label = "Add Clay Hand"
@@ -103,7 +103,7 @@ class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
     )
     length: bpy.props.FloatProperty(
         name="Length (m)",
-        description="From the wrist to the tip of the straight middle finger [m]",
+        description="Distance from the wrist to the tip of the straight middle finger [m]",
         default=REFERENCE_LENGTH,
         min=0.02,
         soft_min=0.10,
@@ -115,14 +115,14 @@ class CLAY_OT_hand_add(bpy.types.Operator):  # noqa: N801
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Add the hands at the 3D cursor."""
         if context.mode != "OBJECT":
-            self.report({"ERROR"}, "Leave the present mode first: hands are added in Object Mode.")
+            self.report({"ERROR"}, "Hands can only be added in Object Mode. Switch to it first.")
             return {"CANCELLED"}
         sides = {"LEFT": ("left",), "RIGHT": ("right",), "BOTH": ("left", "right")}[self.side]
-        way = from_meters(context.scene, _GAP * self.length)
+        gap = from_meters(context.scene, _GAP * self.length)
         try:
             for side in sides:
-                beside = 0.0 if len(sides) == 1 else way if side == "right" else -way
-                matrix = context.scene.cursor.matrix @ Matrix.Translation((beside, 0.0, 0.0))
+                offset = 0.0 if len(sides) == 1 else gap if side == "right" else -gap
+                matrix = context.scene.cursor.matrix @ Matrix.Translation((offset, 0.0, 0.0))
                 add_hand(context, side, length=self.length, matrix=matrix)
         except (AddHandError, HandError) as error:
             self.report({"ERROR"}, str(error))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A rigged mesh as the solver takes it: its rest pose in meters, its bones and their weights."""
+"""Reads a rigged mesh for the solver: its rest pose in meters, its bones and their weights."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ...solver.hand.skinned_hand import SkinnedHand
 from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
 from ..base.units import pose_to_meters, to_meters
 
-_SAME_PLACE = 1e-5
-"""Vertices closer than this share of the hand's length are one: seams of textures."""
+_WELD_DISTANCE = 1e-5
+"""Vertices closer than this, relative to the hand's length, are welded: UV seams split them."""
 
 
 class HandError(TactileClayError):
@@ -24,13 +24,14 @@ class HandError(TactileClayError):
 
 
 def hand_armature(item: bpy.types.Object) -> bpy.types.Object:
-    """The armature that carries a mesh.
+    """The armature that deforms a mesh.
 
     Raises:
-        HandError: None does, or several.
+        HandError: The object is not a mesh, or has no armature or several.
     """
     if item.type != "MESH":
-        raise HandError(f"{item.name!r} is no mesh ({item.type.lower()}). Select a hand's mesh.")
+        kind = item.type.lower()
+        raise HandError(f"{item.name!r} is not a mesh ({kind}). Select a hand's mesh.")
     rigs = {
         modifier.object
         for modifier in item.modifiers
@@ -38,23 +39,23 @@ def hand_armature(item: bpy.types.Object) -> bpy.types.Object:
     }
     if not rigs:
         raise HandError(
-            f"{item.name!r} is not rigged: it has no Armature modifier that is switched on and "
-            "names an armature. Parent it to one (Ctrl+P, With Automatic Weights)."
+            f"{item.name!r} is not rigged: it has no enabled Armature modifier with an armature. "
+            "Parent it to one (Ctrl+P, With Automatic Weights)."
         )
     if len(rigs) > 1:
-        raise HandError(f"{item.name!r} is carried by {len(rigs)} armatures; a hand has one.")
+        raise HandError(f"{item.name!r} has {len(rigs)} armatures; a hand can have only one.")
     (rig,) = rigs
     return rig
 
 
 def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedHand:
-    """A rigged mesh in its rest pose where it stands now, in world coordinates [m].
+    """Read a rigged mesh in its rest pose at its current location, in world coordinates [m].
 
-    Modifiers other than the armature are applied, and vertices at the same place are one, as the
-    seams of an imported mesh have them. The object stays as it is.
+    Modifiers other than the armature are applied, and vertices at the same position are welded,
+    such as those along the seams of an imported mesh. The object is not changed.
 
     Raises:
-        HandError: The object is no rigged mesh, or Blender does not evaluate it.
+        HandError: The object is not a rigged mesh, or Blender does not evaluate it.
     """
     rig = hand_armature(item)
     depsgraph = context.evaluated_depsgraph_get()
@@ -70,46 +71,49 @@ def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedH
     }
     if not groups:
         raise HandError(
-            f"{item.name!r} has no vertex group named like a bone of {rig.name!r}, so no bone "
-            "carries it. Parent it again (Ctrl+P, With Automatic Weights)."
+            f"{item.name!r} has no vertex group named after a bone of {rig.name!r}, so no bone "
+            "moves it. Parent it again (Ctrl+P, With Automatic Weights)."
         )
-    places, triangles, weights = _rest_mesh(context, item, groups, len(bones))
+    points, triangles, weights = _rest_mesh(context, item, groups, len(bones))
     matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
     world = armature_matrix(rig, depsgraph)
-    carrying = np.flatnonzero(weights.any(0)) if len(weights) else np.zeros(0, np.int64)
-    if not len(carrying):
-        raise HandError(f"{item.name!r} has no vertex that a bone of {rig.name!r} carries.")
-    kept = [bones[index] for index in carrying]
+    used = np.flatnonzero(weights.any(0)) if len(weights) else np.zeros(0, np.int64)
+    if not len(used):
+        raise HandError(
+            f"No vertex of {item.name!r} has a weight for a bone of {rig.name!r}. Parent it again "
+            "(Ctrl+P, With Automatic Weights)."
+        )
+    kept = [bones[index] for index in used]
     names = [bone.name for bone in kept]
     rest = np.stack([pose_to_meters(context.scene, bone.matrix_local) for bone in kept])
     return SkinnedHand(
-        vertices=to_meters(context.scene, transform(matrix, places)) if len(places) else places,
+        vertices=to_meters(context.scene, transform(matrix, points)) if len(points) else points,
         faces=turn_for(matrix, triangles),
         bone_names=tuple(names),
         bone_rest=world @ rest,
         bone_parent=np.array([_parent_index(bone, names) for bone in kept], np.int32),
-        weights=weights[:, carrying],
+        weights=weights[:, used],
     )
 
 
 def _parent_index(bone: bpy.types.Bone, names: list[str]) -> int:
-    """Nearest ancestor that carries skin."""
-    above = bone.parent
-    while above is not None and above.name not in names:
-        above = above.parent
-    return -1 if above is None else names.index(above.name)
+    """Index of the nearest ancestor in ``names``; -1 if there is none."""
+    ancestor = bone.parent
+    while ancestor is not None and ancestor.name not in names:
+        ancestor = ancestor.parent
+    return -1 if ancestor is None else names.index(ancestor.name)
 
 
 def armature_matrix(rig: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> NDArray[np.float64]:
-    """World from an armature's own coordinates [m], shape [4, 4]."""
+    """World matrix of an armature [m], shape [4, 4]."""
     return pose_to_meters(depsgraph.scene, rig.evaluated_get(depsgraph).matrix_world)
 
 
 def _rest_mesh(
     context: bpy.types.Context, item: bpy.types.Object, groups: dict[int, int], bone_count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    """Welded vertices in the object's coordinates, triangles and weights, at rest."""
-    # A copy without the armature is at rest whatever the pose, also where the armature is linked.
+    """Welded vertices, triangles and weights in the rest pose, in the object's coordinates."""
+    # A copy without Armature modifiers is in the rest pose, even if the armature is linked.
     copy = item.copy()
     try:
         for modifier in [m for m in copy.modifiers if m.type == "ARMATURE"]:
@@ -132,26 +136,26 @@ def _rest_mesh(
 def _arrays(
     mesh: bmesh.types.BMesh, groups: dict[int, int], bone_count: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
-    places = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
-    if len(places) and np.isfinite(places).all():
-        distance = _SAME_PLACE * float(np.ptp(places, axis=0).max())
+    points = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
+    if len(points) and np.isfinite(points).all():
+        distance = _WELD_DISTANCE * float(np.ptp(points, axis=0).max())
         bmesh.ops.remove_doubles(mesh, verts=mesh.verts[:], dist=distance)
-        places = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
+        points = np.array([vertex.co for vertex in mesh.verts], np.float64).reshape(-1, 3)
     mesh.verts.index_update()
     triangles = np.array(
         [[loop.vert.index for loop in corners] for corners in mesh.calc_loop_triangles()], np.int32
     ).reshape(-1, 3)
-    weights = np.zeros((len(places), bone_count))
+    weights = np.zeros((len(points), bone_count))
     layer = mesh.verts.layers.deform.active
     if layer is not None:
         for vertex in mesh.verts:
             for group, weight in vertex[layer].items():
                 if group in groups:
                     weights[vertex.index, groups[group]] = weight
-    return places, triangles, weights
+    return points, triangles, weights
 
 
 def weights_digest(hand: SkinnedHand) -> str:
-    """Thirty-two hexadecimal digits of the weights."""
+    """Hash of the weights, 32 hexadecimal digits."""
     rounded = np.ascontiguousarray(hand.weights, np.float32)
     return hashlib.blake2b(rounded.tobytes(), digest_size=16).hexdigest()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps of a bound hand: one compressed property on its mesh.
+"""Stores a bound hand in the .blend file, as a compressed custom property of its mesh.
 
-It goes where the mesh goes: into duplicates, into libraries and through Undo.
+The property follows the mesh: into duplicates, into libraries and through Undo.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class StoredHand:
     armature: NDArray[np.float64]
     """World from armature at that time [m], shape [4, 4]."""
     weights_digest: str
-    """Of the vertex weights."""
+    """Digest of the vertex weights."""
     source_digest: str
-    """Of mesh, skeleton and size as they are in the file."""
+    """Digest of mesh, rest bones and scale."""
 
 
 def is_stored(mesh: bpy.types.Mesh) -> bool:
@@ -44,7 +44,7 @@ def is_stored(mesh: bpy.types.Mesh) -> bool:
 
 
 def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
-    """Keep a bound hand on a mesh, in place of the one that it may have."""
+    """Store a bound hand in a mesh, replacing any earlier one."""
     buffer = io.BytesIO()
     arrays: dict[str, Any] = {
         "version": np.array(_VERSION),
@@ -53,7 +53,7 @@ def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
         **hand.rig.to_arrays(),
     }
     np.savez_compressed(buffer, **arrays)
-    # Assigning over bytes of another length spoils them (Blender 5.2).
+    # Overwriting bytes with bytes of another length corrupts them (Blender 5.2).
     forget_hand(mesh)
     mesh[PROPERTY] = buffer.getvalue()
     mesh[SOURCE_PROPERTY] = hand.source_digest
@@ -61,20 +61,20 @@ def store_hand(mesh: bpy.types.Mesh, hand: StoredHand) -> None:
 
 
 def stored_source(mesh: bpy.types.Mesh) -> str:
-    """The digest of what the mesh's hand was bound from, without reading the hand itself."""
+    """The stored hand's source digest, without reading the hand; empty if there is none."""
     return str(mesh.get(SOURCE_PROPERTY, ""))
 
 
 def stored_spacing(mesh: bpy.types.Mesh) -> float:
-    """Distance of the ghosts of the mesh's hand [m], without reading the hand itself."""
+    """The stored hand's ghost spacing [m], without reading the hand; 0 if there is none."""
     return float(mesh.get(SPACING_PROPERTY, 0.0))
 
 
 def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
-    """Read the hand that `store_hand` kept.
+    """Read the hand written by `store_hand`.
 
     Raises:
-        ValueError: There is none, it is damaged, or a newer version of the add-on wrote it.
+        ValueError: There is none, it is corrupt, or a newer version of the add-on wrote it.
     """
     if PROPERTY not in mesh:
         raise ValueError("it is not bound")
@@ -92,14 +92,14 @@ def load_hand(mesh: bpy.types.Mesh) -> StoredHand:
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        raise ValueError(f"what the file keeps of it is damaged ({error})") from error
+        raise ValueError(f"its stored binding is corrupt ({error})") from error
     if rig is None:
-        raise ValueError("a newer version of Tactile Clay bound it")
+        raise ValueError("it was bound by a newer version of Tactile Clay")
     return StoredHand(rig, arrays["armature"], str(arrays["weights_digest"]), stored_source(mesh))
 
 
 def forget_hand(mesh: bpy.types.Mesh) -> None:
-    """Drop the hand that a mesh holds."""
+    """Delete the hand stored in a mesh."""
     for name in (PROPERTY, SOURCE_PROPERTY, SPACING_PROPERTY):
         if name in mesh:
             del mesh[name]

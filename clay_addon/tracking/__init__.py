@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tracked hands in Blender: armatures that follow a tracker."""
+"""Hand tracking in Blender: armatures that follow a tracker."""

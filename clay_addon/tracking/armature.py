@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Between tracked hands in meters and the bones of an armature object in Blender units."""
+"""Poses the bones of an armature, in Blender units, from a tracked hand, in meters."""
 
 from __future__ import annotations
 
@@ -10,37 +10,41 @@ from numpy.typing import NDArray
 
 from ..base.units import pose_from_meters, pose_to_meters
 from ..core.tracking import TrackingError
-from ..core.tracking.hand.bone_names import joints_of_bones, side_of_bones
+from ..core.tracking.hand.bone_names import joints_of_bones, side_of_rig
 from ..core.tracking.hand.presence import TrackedHand
 from ..core.tracking.hand.retarget import HandTarget, RetargetError
 
 Array = NDArray[np.float64]
 
 CONTACT_PROPERTY = "clay_contact"
-"""Custom property of the armature object: how much of the hand touches the clay, 0 to 1."""
+"""Custom property of the armature object: how strongly the hand touches the clay, 0 to 1."""
+_MIN_JOINTS = 6
+"""An armature is a hand if at least this many of its bones are joints of a hand."""
 
 
-def is_hand(armature: bpy.types.Object) -> bool:
-    """Whether an armature has bones that are joints of a hand."""
-    return armature.type == "ARMATURE" and len(joints_of_bones(armature.data.bones.keys())) > 5
+def is_hand(item: bpy.types.Object) -> bool:
+    """Whether an object is an armature whose bones are joints of a hand."""
+    if item.type != "ARMATURE":
+        return False
+    return len(joints_of_bones(item.data.bones.keys())) >= _MIN_JOINTS
 
 
 def side_of(armature: bpy.types.Object) -> str:
-    """The side that an armature's name, or its bones' names, say; empty where neither does."""
-    return side_of_bones([armature.name]) or side_of_bones(armature.data.bones.keys())
+    """The side in an armature's name, or else in its bones' names; empty if ambiguous."""
+    return side_of_rig(armature.name, armature.data.bones.keys())
 
 
 def read_target(armature: bpy.types.Object, side: str, scene: bpy.types.Scene) -> HandTarget:
-    """The rig of an armature, for hands to be laid on.
+    """Read an armature's rig as the target for a tracked hand.
 
     Raises:
-        TrackingError: It cannot take a tracked hand; the message says why and what to do.
+        TrackingError: It cannot follow a tracked hand; the message says why and what to do.
     """
     world = np.array(armature.matrix_world, np.float64)
     scales = np.linalg.norm(world[:3, :3], axis=0)
     if scales.min() < 1e-9 or scales.max() > 1.001 * scales.min():
         raise TrackingError(
-            f"{armature.name!r} is scaled unevenly or to nothing: apply its scale (Ctrl-A)."
+            f"The scale of {armature.name!r} is zero or not uniform. Apply its scale (Ctrl-A)."
         )
     bones = {}
     for bone in armature.data.bones:
@@ -55,14 +59,14 @@ def read_target(armature: bpy.types.Object, side: str, scene: bpy.types.Scene) -
 def placed(
     target: HandTarget, hand: TrackedHand, origin: bpy.types.Object | None, scene: bpy.types.Scene
 ) -> dict[str, Array]:
-    """Where a hand puts a rig's bones, in world space and Blender units, shape [4, 4] each.
+    """World matrices of a rig's bones for a hand [Blender units], by bone name, shape [4, 4].
 
     Args:
         target: The rig.
         hand: The hand.
-        origin: The object that stands where the tracker does; the world's origin without one. Its
-            scale says nothing.
-        scene: Its unit scale tells how long a Blender unit is.
+        origin: Object at the tracker's position and rotation (its scale is ignored); if None, the
+            tracker is at the world origin.
+        scene: Provides the unit scale.
     """
     space = np.eye(4)
     if origin is not None:
@@ -72,12 +76,16 @@ def placed(
 
 
 def local_poses(armature: bpy.types.Object, matrices: dict[str, Array]) -> dict[str, Matrix]:
-    """What each bone's own transform must be for the bones to be somewhere in world space.
+    """The ``matrix_basis`` of each bone that gives the bones these world matrices.
 
-    Bones between those named keep their transform; so do the bones that carry them.
+    Bones that are not named, such as parents or bones in between, keep their transforms.
+
+    Args:
+        armature: The armature object.
+        matrices: World matrices by bone name [Blender units], shape [4, 4].
     """
     inverse = armature.matrix_world.inverted_safe()
-    wanted = {name: inverse @ Matrix(matrix) for name, matrix in matrices.items()}
+    targets = {name: inverse @ Matrix(matrix) for name, matrix in matrices.items()}
     poses: dict[str, Matrix] = {}
     results: dict[str, Matrix] = {}
 
@@ -90,9 +98,9 @@ def local_poses(armature: bpy.types.Object, matrices: dict[str, Array]) -> dict[
                 "parent_matrix": pose(bone.parent),
                 "parent_matrix_local": bone.parent.matrix_local,
             }
-        if bone.name in wanted:
+        if bone.name in targets:
             basis = bone.convert_local_to_pose(
-                wanted[bone.name], bone.matrix_local, **parent, invert=True
+                targets[bone.name], bone.matrix_local, **parent, invert=True
             )
             results[bone.name] = basis
         else:
@@ -100,14 +108,20 @@ def local_poses(armature: bpy.types.Object, matrices: dict[str, Array]) -> dict[
         poses[bone.name] = bone.convert_local_to_pose(basis, bone.matrix_local, **parent)
         return poses[bone.name]
 
-    for name in wanted:
+    for name in targets:
         if name in armature.data.bones:
             pose(armature.data.bones[name])
     return results
 
 
 def write_pose(armature: bpy.types.Object, matrices: dict[str, Array], contact: float) -> None:
-    """Pose an armature in world space [Blender units], and say how much of it touches the clay."""
+    """Pose an armature and store how strongly the hand touches the clay.
+
+    Args:
+        armature: The armature object.
+        matrices: World matrices by bone name [Blender units], shape [4, 4].
+        contact: How strongly the hand touches the clay, 0 to 1.
+    """
     for name, basis in local_poses(armature, matrices).items():
         armature.pose.bones[name].matrix_basis = basis
     armature[CONTACT_PROPERTY] = float(contact)

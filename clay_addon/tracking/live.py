@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Live tracking in Blender: a timer that fetches what has arrived and poses the armatures."""
+"""Live tracking in Blender: a timer fetches the frames that have arrived and poses armatures."""
 
 from __future__ import annotations
 
@@ -31,33 +31,34 @@ _logger = logging.getLogger(__name__)
 
 
 class LiveTracking:
-    """Follows tracked hands with the armatures of a scene, until `stop`."""
+    """Makes the armatures of a scene follow tracked hands, until `stop`."""
 
     def __init__(
         self, scene: bpy.types.Scene, *, clock: Callable[[], int] = time.perf_counter_ns
     ) -> None:
-        """Open the receiver.
+        """Open the receiver and start the sender.
 
         Raises:
-            TrackingError: No armature is chosen, one cannot follow a hand, or the port is in use.
+            TrackingError: There is no hand armature, one cannot follow a hand, the port is in use,
+                or the sender cannot be started.
         """
         self._scene_name = scene.name
         self._clock = clock
         self._tracker = HandTracker()
         self._targets: dict[str, tuple[str, HandTarget]] = {}
         self._hands: dict[str, TrackedHand] = {}
-        self._written: dict[str, State] = {}
+        self._posed_states: dict[str, State] = {}
         self._recorder: Recorder | None = None
         self.problem = ""
-        """What went wrong last, for the panel."""
+        """The last error message, for the panel."""
         armatures = hand_armatures(scene)
         if not armatures:
-            raise TrackingError("Choose the armature of a hand: left, right or both.")
+            raise TrackingError("Choose an armature for the left hand, the right hand, or both.")
         for side, armature in armatures.items():
             self._target(side, armature, scene)
         self.receiver = Receiver(scene.tactile_clay_tracking.port, clock=clock)
         self.sender: SenderProcess | None = None
-        """The sender that was started beside; None where it was started elsewhere."""
+        """The sender's process; None if it was started outside Blender."""
         try:
             command = sender_command(scene)
             self.sender = SenderProcess(command) if command else None
@@ -67,33 +68,40 @@ class LiveTracking:
 
     @property
     def recorder(self) -> Recorder | None:
-        """The recording that is being written; None while there is none."""
+        """The recording being written; None if there is none."""
         return self._recorder
 
     def hand(self, side: str) -> TrackedHand | None:
-        """A hand as of the last step, in the tracker's space [m]; None before one was seen."""
+        """The hand at the last step, in the tracker's space [m]; None if it was never seen."""
         return self._hands.get(side)
 
     def record(self, path: Path) -> None:
-        """Begin to record what arrives.
+        """Start recording the frames that arrive.
 
         Raises:
-            TrackingError: It cannot be written there.
+            TrackingError: The file cannot be created.
         """
         self.stop_recording()
         self._recorder = Recorder(path)
 
     def stop_recording(self) -> Path | None:
-        """End the recording; its path, or None where nothing was recorded.
+        """Stop recording.
+
+        Returns:
+            Path of the recording; None if nothing was recorded.
 
         Raises:
-            TrackingError: It could not be written to its end.
+            TrackingError: The recording could not be completed.
         """
         recorder, self._recorder = self._recorder, None
         return recorder.close() if recorder is not None else None
 
     def step(self) -> bool:
-        """Fetch what has arrived and pose the hands; False where the scene is gone."""
+        """Process the frames that have arrived and pose the hands.
+
+        Returns:
+            False if the scene no longer exists.
+        """
         scene = bpy.data.scenes.get(self._scene_name)
         if scene is None:
             return False
@@ -103,7 +111,7 @@ class LiveTracking:
         now = self._clock()
         hands = {side: self._tracker.hand(side, now) for side in SIDES}
         self._hands = {side: hand for side, hand in hands.items() if hand is not None}
-        # A bake and a render read the pose of their own frame.
+        # Bakes and renders need the pose of their own frame.
         if clay_activity.kind is ActivityKind.BAKE or bpy.app.is_job_running("RENDER"):
             return True
         for side, armature in hand_armatures(scene).items():
@@ -115,19 +123,19 @@ class LiveTracking:
             except TrackingError as error:
                 self.problem = str(error)
                 continue
-            if hand.state == "lost" and self._written.get(side) == "lost":
-                # It stays where it is; posing it again would evaluate the scene for nothing.
+            if hand.state == "lost" and self._posed_states.get(side) == "lost":
+                # Its pose does not change; posing it again would reevaluate the scene needlessly.
                 continue
             matrices = placed(target, hand, scene.tactile_clay_tracking.origin, scene)
             write_pose(armature, matrices, hand.contact)
-            self._written[side] = hand.state
+            self._posed_states[side] = hand.state
         return True
 
     def stop(self) -> None:
-        """Close the receiver and the recording; a second call does nothing.
+        """Stop the sender, the receiver and the recording; a second call does nothing.
 
         Raises:
-            TrackingError: The recording could not be written to its end.
+            TrackingError: The recording could not be completed.
         """
         if self.sender is not None:
             self.sender.stop()
@@ -144,14 +152,14 @@ class LiveTracking:
             self._recorder = None
 
     def _target(self, side: str, armature: bpy.types.Object, scene: bpy.types.Scene) -> HandTarget:
-        known = self._targets.get(side)
-        if known is None or known[0] != armature.name:
-            known = self._targets[side] = (armature.name, read_target(armature, side, scene))
-        return known[1]
+        cached = self._targets.get(side)
+        if cached is None or cached[0] != armature.name:
+            cached = self._targets[side] = (armature.name, read_target(armature, side, scene))
+        return cached[1]
 
 
 def hand_armatures(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
-    """The armature of each hand: those chosen, else those in the scene that are named as hands."""
+    """The armature of each side: the chosen ones or, if there are none, hands in the scene."""
     properties = scene.tactile_clay_tracking
     chosen = {side: getattr(properties, side) for side in SIDES}
     found = {side: item for side, item in chosen.items() if item is not None}
@@ -163,10 +171,10 @@ def hand_armatures(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
 
 
 def sender_command(scene: bpy.types.Scene) -> list[str]:
-    """The command that starts the sender of a scene's source; empty where it has none.
+    """The command that starts the sender for a scene's source; empty if it is started elsewhere.
 
     Raises:
-        TrackingError: The recording that it is to play is not there.
+        TrackingError: The recording to be played does not exist.
     """
     properties = scene.tactile_clay_tracking
     if properties.source == "OTHER":
@@ -175,42 +183,42 @@ def sender_command(scene: bpy.types.Scene) -> list[str]:
     if properties.source == "RECORDING":
         path = Path(bpy.path.abspath(properties.recording))
         if not path.is_file():
-            raise TrackingError(f"There is no recording {path}. Choose one under Recording.")
+            raise TrackingError(f"The recording {path} does not exist. Choose another one.")
         words += [str(path), "--loop"]
     if bpy.app.binary_path:
-        # Blender itself has the Python and the add-on that a sender needs.
+        # Blender contains the Python and the add-on that a sender needs.
         return [bpy.app.binary_path, "--background", "--command", "clay", "track", *words]
-    # The bpy module has no program of its own, but a Python with this package installed.
+    # The bpy module has no executable, but this package is installed in the Python it runs in.
     package = __name__.partition(".clay_addon.")[0]
     entry = f"from {package}.clay_addon.command.line import run; run()"
     return [sys.executable, "-c", entry, "track", *words]
 
 
 class CurrentTracking:
-    """Starts and ends tracking; there is never more than one."""
+    """Starts and stops tracking; there is at most one session."""
 
     def __init__(self) -> None:
         self.session: LiveTracking | None = None
-        """What tracks now; None while nothing does."""
+        """The running session; None if there is none."""
 
     def start(self, scene: bpy.types.Scene) -> LiveTracking:
-        """Start to track; tracking that runs is stopped first.
+        """Start tracking; a running session is stopped first.
 
         Raises:
             TrackingError: As for `LiveTracking`.
         """
         self.stop()
         self.session = LiveTracking(scene)
-        _logger.info("Tracking starts: %s", scene.tactile_clay_tracking.source)
+        _logger.info("Tracking started: %s", scene.tactile_clay_tracking.source)
         if not bpy.app.timers.is_registered(_tick):
             bpy.app.timers.register(_tick, first_interval=0.0)
         return self.session
 
     def stop(self) -> str:
-        """Stop to track.
+        """Stop tracking.
 
         Returns:
-            What went wrong while doing so; empty where nothing did, or nothing was tracking.
+            The error message if stopping failed; otherwise empty.
         """
         ended, self.session = self.session, None
         if bpy.app.timers.is_registered(_tick):
@@ -220,26 +228,26 @@ class CurrentTracking:
         try:
             ended.stop()
         except TrackingError as error:
-            _logger.warning("Tracking ended with an error: %s", error)
+            _logger.warning("Tracking stopped with an error: %s", error)
             return str(error)
-        _logger.info("Tracking stops")
+        _logger.info("Tracking stopped")
         return ""
 
 
 tracking = CurrentTracking()
-"""The tracking of this Blender."""
+"""The tracking session of this Blender."""
 
 
 def _tick() -> float | None:
     if tracking.session is None:
         return None
     try:
-        goes_on = tracking.session.step()
+        scene_exists = tracking.session.step()
     except BaseException:
-        # Nothing may go on half, with the port held.
+        # After an error, release the port and stop the sender.
         tracking.stop()
         raise
-    if not goes_on:
+    if not scene_exists:
         tracking.stop()
         return None
     redraw_views()
@@ -252,11 +260,11 @@ def _on_load(*_: object) -> None:
 
 
 def register() -> None:
-    """Add the handler that ends tracking when another file is opened."""
+    """Add the handler that stops tracking when another file is opened."""
     add_handlers((("load_pre", _on_load),))
 
 
 def unregister() -> None:
-    """End tracking, and take the handler away."""
+    """Stop tracking and remove the handler."""
     tracking.stop()
     remove_handlers((("load_pre", _on_load),))

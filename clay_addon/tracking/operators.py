@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting, stopping and recording tracked hands, and importing a recording."""
+"""Operators that start, stop and record tracking, and import a recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .keyframes import import_recording
 
 
 class CLAY_OT_tracking_start(bpy.types.Operator):  # noqa: N801
-    """Let the hands' armatures follow a tracker, whose sender runs beside Blender"""
+    """Make hand armatures follow a tracker. Its sender is started as a separate process"""
 
     bl_idname = "clay.tracking_start"
     bl_label = "Start Tracking"
@@ -32,7 +32,7 @@ class CLAY_OT_tracking_start(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_tracking_stop(bpy.types.Operator):  # noqa: N801
-    """Let go of the tracker; the hands stay as they are"""
+    """Stop following the tracker; the hands keep their poses"""
 
     bl_idname = "clay.tracking_stop"
     bl_label = "Stop Tracking"
@@ -40,7 +40,7 @@ class CLAY_OT_tracking_stop(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while tracking runs."""
+        """Allow this only while tracking runs."""
         return live.tracking.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -52,7 +52,7 @@ class CLAY_OT_tracking_stop(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_tracking_record(bpy.types.Operator):  # noqa: N801
-    """Record what arrives from the tracker, or end the recording"""
+    """Start or stop recording the tracked hands"""
 
     bl_idname = "clay.tracking_record"
     bl_label = "Record"
@@ -60,34 +60,34 @@ class CLAY_OT_tracking_record(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while tracking runs."""
+        """Allow this only while tracking runs."""
         return live.tracking.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Begin or end."""
+        """Start or stop recording."""
         session = live.tracking.session
         if session is None:
-            self.report({"ERROR"}, "Tracking does not run. Press Start Tracking first.")
+            self.report({"ERROR"}, "Tracking is not running. Press Start Tracking first.")
             return {"CANCELLED"}
         try:
             if session.recorder is None:
                 path = _next_path(context.scene)
                 session.record(path)
-                self.report({"INFO"}, f"Recording into {path.name}")
+                self.report({"INFO"}, f"Recording to {path.name}")
                 return {"FINISHED"}
             written = session.stop_recording()
         except TrackingError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         if written is None:
-            self.report({"WARNING"}, "Nothing arrived, so nothing was recorded")
+            self.report({"WARNING"}, "Nothing was recorded, because no frames arrived")
         else:
-            self.report({"INFO"}, f"Recorded: {written}")
+            self.report({"INFO"}, f"Saved recording {written}")
         return {"FINISHED"}
 
 
 class CLAY_OT_tracking_import(bpy.types.Operator):  # noqa: N801
-    """Put a recording of hands on their armatures as keyframes, so that it can be baked"""
+    """Import a recording of hands as keyframes on their armatures, so that it can be baked"""
 
     bl_idname = "clay.tracking_import"
     bl_label = "Import Recording"
@@ -104,18 +104,18 @@ class CLAY_OT_tracking_import(bpy.types.Operator):  # noqa: N801
     )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask for the file."""
+        """Open the file browser."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Read the recording and write the keys."""
+        """Read the recording and insert the keyframes."""
         scene = context.scene
         path = Path(bpy.path.abspath(self.filepath))
         try:
             if live.tracking.session is not None:
-                raise TrackingError("Stop tracking first: it would move the hands off their keys.")
-            done = import_recording(
+                raise TrackingError("Stop tracking first: it would override the keyframes.")
+            imported = import_recording(
                 scene,
                 read_recording(path),
                 live.hand_armatures(scene),
@@ -126,21 +126,21 @@ class CLAY_OT_tracking_import(bpy.types.Operator):  # noqa: N801
         except TrackingError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report(
-            {"INFO"}, f"{' and '.join(done.sides)} hand: keys on frames {done.first} to {done.last}"
-        )
+        hands = f"{' and '.join(imported.sides)} hand".capitalize()
+        frames = f"frames {imported.first} to {imported.last}"
+        self.report({"INFO"}, f"{hands}: keyframes on {frames}")
         return {"FINISHED"}
 
 
 def _next_path(scene: bpy.types.Scene) -> Path:
-    """A free name in the folder of recordings.
+    """An unused path in the folder for recordings.
 
     Raises:
-        TrackingError: The folder is beside a .blend that was never saved.
+        TrackingError: The folder is relative to a .blend file that has not been saved.
     """
     folder = scene.tactile_clay_tracking.recording_folder
     if folder.startswith("//") and not bpy.data.filepath:
-        raise TrackingError("Save the .blend first, or choose a folder for recordings.")
+        raise TrackingError("Save the .blend file first, or choose a folder for recordings.")
     directory = Path(bpy.path.abspath(folder))
     number = 1
     while True:

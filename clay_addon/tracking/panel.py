@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section *Tracking* of the Clay tab."""
+"""The *Tracking* panel in the Clay tab."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _STATE_ICONS = {"live": "CHECKMARK", "held": "PAUSE", "lost": "X"}
 
 
 class CLAY_PT_tracking(bpy.types.Panel):  # noqa: N801
-    """Which hands are tracked, and how well."""
+    """Settings and status of hand tracking."""
 
     bl_label = "Tracking"
     bl_order = 4
@@ -59,9 +59,9 @@ def _draw_status(layout: bpy.types.UILayout, session: live.LiveTracking) -> None
     receiver = session.receiver
     sender = session.sender
     if sender is not None and not sender.runs:
-        draw_text(box, sender.problem or "The sender has ended.", icon="ERROR")
+        draw_text(box, sender.problem or "The sender has exited.", icon="ERROR")
     if not receiver.accepted:
-        text = f"Nothing arrives at port {receiver.address[1]} yet."
+        text = f"No hands have arrived at port {receiver.address[1]} yet."
         if sender is None:
             text += " Choose a source, or start a sender in a terminal: tactile-clay track leap"
         draw_text(box, text, icon="INFO")
@@ -72,13 +72,14 @@ def _draw_status(layout: bpy.types.UILayout, session: live.LiveTracking) -> None
             box.label(text=text, icon=icon)
     if receiver.rejected:
         reason, count = receiver.reasons.most_common(1)[0]
-        draw_text(box, f"{receiver.rejected} datagrams refused: {reason} ({count})", icon="ERROR")
+        text = f"Rejected datagrams: {receiver.rejected} ({count} × {reason})"
+        draw_text(box, text, icon="ERROR")
     if session.problem:
         draw_text(box, session.problem, icon="ERROR")
 
 
 def status(session: live.LiveTracking, side: str) -> list[tuple[str, str]]:
-    """Lines and icons that tell how a hand is tracked; none before it was seen."""
+    """Status lines of a hand with their icons; empty before it is first seen."""
     hand = session.hand(side)
     if hand is None:
         return []

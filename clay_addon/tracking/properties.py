@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps about tracked hands: ``Scene.tactile_clay_tracking``."""
+"""Tracking settings stored in the .blend file: ``Scene.tactile_clay_tracking``."""
 
 import bpy
 
@@ -11,7 +11,7 @@ def _is_armature(_: object, item: bpy.types.Object) -> bool:
 
 
 class ClayTrackingProperties(bpy.types.PropertyGroup):
-    """Which armatures follow which hands, and where they hear of them."""
+    """Armatures of the hands, source of the tracking, port and recordings."""
 
     left: bpy.props.PointerProperty(
         name="Left Hand",
@@ -28,41 +28,41 @@ class ClayTrackingProperties(bpy.types.PropertyGroup):
     origin: bpy.props.PointerProperty(
         name="Tracker",
         description=(
-            "Object that stands where the tracker does: hands move about it, and turn with it. "
-            "Without one the tracker is at the world's origin"
+            "Object at the position and rotation of the tracker, which the hands move relative to. "
+            "Without one, the tracker is at the world origin"
         ),
         type=bpy.types.Object,
     )
     source: bpy.props.EnumProperty(
         name="Source",
-        description="What sees the hands; its sender is started beside Blender, and ends with it",
+        description="Tracker to use. Its sender is started with tracking and stopped with it",
         items=(
-            ("OTHER", "Started elsewhere", "A sender that was started in a terminal"),
+            ("OTHER", "External Sender", "A sender started outside Blender, such as in a terminal"),
             ("LEAPC", "Ultraleap", "An Ultraleap device, through Ultraleap's software"),
-            ("LEAP", "Leap (older service)", "A Leap device, through its service's websocket"),
-            ("OPENXR", "OpenXR", "A headset, through the machine's OpenXR runtime"),
+            ("LEAP", "Leap (Older Service)", "A Leap device, through its service's websocket"),
+            ("OPENXR", "OpenXR", "A headset, through the computer's OpenXR runtime"),
             ("HTS", "Quest", "A Meta Quest with Hand Tracking Streamer, over the network"),
-            ("MEDIAPIPE", "Webcam", "The first camera, through MediaPipe, once that is set up"),
-            ("RECORDING", "Recording", "A recording, played over and over"),
+            ("MEDIAPIPE", "Webcam", "The first camera, through MediaPipe (set up separately)"),
+            ("RECORDING", "Recording", "A recording, played in a loop"),
         ),
         default="OTHER",
     )
     recording: bpy.props.StringProperty(
         name="Recording",
-        description="The recording to play: of this add-on, or of LeapJS Playback",
+        description="Recording to play, made with this add-on or LeapJS Playback",
         subtype="FILE_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
     )
     port: bpy.props.IntProperty(
         name="Port",
-        description="Port on this machine that senders send to",
+        description="Port on this computer that senders send to",
         default=PORT,
         min=1024,
         max=65535,
     )
     recording_folder: bpy.props.StringProperty(
         name="Recordings",
-        description="Folder for recordings; // is the folder of the .blend file",
+        description="Folder for new recordings; // is the folder of the .blend file",
         subtype="DIR_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//hand_recordings",
@@ -70,12 +70,12 @@ class ClayTrackingProperties(bpy.types.PropertyGroup):
 
 
 def register() -> None:
-    """Register the property group and hang it on scenes."""
+    """Register the property group and add it to scenes."""
     bpy.utils.register_class(ClayTrackingProperties)
     bpy.types.Scene.tactile_clay_tracking = bpy.props.PointerProperty(type=ClayTrackingProperties)
 
 
 def unregister() -> None:
-    """Take the property group away; what a .blend keeps stays in it."""
+    """Remove the property group; values stored in .blend files are kept."""
     del bpy.types.Scene.tactile_clay_tracking
     bpy.utils.unregister_class(ClayTrackingProperties)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands before they move: anatomy, shape, skin, flesh and their binding to bones."""
+"""Hands in the rest pose: anatomy, shape, skin, flesh, and their binding to bones."""

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Binding: turns a rigged skin into a hand for simulation.
+"""Binding: converts a rigged skin to a hand for simulation.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: the inside is meshed with tetrahedra, and ghost particles rasterized in the rest pose are
-carried by the barycentric coordinates of the tetrahedron around them.
+WHC 2021: the interior is meshed with tetrahedra, and ghost particles rasterized in the rest pose
+are embedded in the tetrahedron around them by barycentric coordinates.
 
-Ghosts lie on the skin only. A particle meets the skin on its own side before it gets inside, and
-one that ends up inside when the hand jumps is led out along the nearest skin's normal. Ghosts
+Ghosts lie only on the skin. A particle meets the skin on its own side before it gets inside, and
+one that ends up inside when the hand jumps is moved out along the nearest skin's normal. Ghosts
 inside the hand would have neither a normal nor an area, and would push in all directions.
 """
 
@@ -29,35 +29,34 @@ from .rig import HandRig
 from .skinned_hand import SkinnedHand
 
 NODE_COUNT = 500
-"""About how many nodes a hand has when no cell size is given."""
+"""Approximate number of nodes of a hand when no cell size is given."""
 GHOST_SPACING = 0.5
-"""Ghost spacing over particle spacing: ghosts lie a particle's radius apart, so that no particle
-leaks through. On a square lattice of ghosts, balls smaller than 1/√2 of the ghost spacing would."""
+"""Ghost spacing over particle spacing: ghosts are a particle's radius apart, so that no particle
+leaks through. A square lattice of ghosts leaks balls with radii below 1/√2 of its spacing."""
 MAX_NODES = 100_000
 MAX_GHOSTS = 1_000_000
-"""More nodes or ghosts than this are taken for a mistake in units."""
+"""Larger numbers of nodes or ghosts are assumed to be a mistake in units."""
 MAX_OUTSIDE = 1.0
-"""How far skin may lie outside the tetrahedron that carries it, over its height."""
+"""How far skin may lie outside the tetrahedron that carries it, relative to its height."""
 _MAX_CELL = 0.25
-"""Largest lattice cell over the hand's longest extent."""
+"""Largest lattice cell, relative to the hand's longest extent."""
 
 
 def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = None) -> HandRig:
     """Bind a rigged hand for simulation with clay.
 
     Args:
-        hand: Skin, skeleton and weights in the rest pose. Vertices at the same place count as one.
+        hand: Skin, skeleton and weights in the rest pose. Vertices at the same position are merged.
         clay_spacing: Distance between neighboring clay particles [m]; ghosts lie half as far apart.
         cell: Edge of the cubic lattice cells that are cut into tetrahedra [m]; by default chosen
             to give about 500 nodes.
 
     Returns:
-        The hand. Its skin has the given vertices in their order, except those that repeat an
-        earlier one.
+        The hand. Its skin has the given vertices in order, without duplicates.
 
     Raises:
-        MeshError: The skin is open (the number of holes is named), inside out or in several
-            pieces, has coordinates that are not finite or vertices that no bone carries.
+        MeshError: The skin is open (the message gives the number of holes), inside out or in
+            several pieces, or has coordinates that are not finite or vertices without bone weights.
         ValueError: The bones do not form a skeleton, or the hand is too small or too large for the
             spacing or cell.
     """
@@ -77,9 +76,8 @@ def bind_hand(hand: SkinnedHand, *, clay_spacing: float, cell: float | None = No
 
     parts = hand_parts(vertices, faces)
     flesh = _flesh_in_own_frame(vertices, faces, parts, cell)
-    places = ghosts.positions(vertices, faces)
     nearest = faces[ghosts.face, ghosts.weights.argmax(1)]
-    points = np.concatenate([vertices, places])
+    points = np.concatenate([vertices, ghosts.positions(vertices, faces)])
     owner = np.concatenate([np.arange(len(vertices)), nearest])
     carrier, share = _embedded(points, owner, parts, flesh, cell)
     ghost_weights = np.einsum("gk,gkb->gb", ghosts.weights, weights[faces[ghosts.face]])
@@ -127,8 +125,8 @@ def _checked_skin(
     vertices = np.asarray(hand.vertices, np.float64)
     _, first, welded = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     kept = np.sort(first)
-    place = np.searchsorted(kept, first)[welded.reshape(-1)]
-    vertices, faces = vertices[kept], place[hand.faces].astype(np.int32)
+    index = np.searchsorted(kept, first)[welded.reshape(-1)]
+    vertices, faces = vertices[kept], index[hand.faces].astype(np.int32)
     proper = (np.diff(np.sort(faces, axis=1), axis=1) > 0).all(1)
     faces = np.ascontiguousarray(faces[proper])
     if mesh_volume(vertices, faces) < 0.0:
@@ -146,8 +144,8 @@ def _checked_skin(
     pieces = len(np.unique(skin_pieces(len(vertices), skin_edges(faces))))
     if pieces > 1:
         raise MeshError(
-            f"{name} has {pieces} separate pieces; a hand is one closed skin. Join them (for "
-            "example with a Remesh modifier), or separate what does not belong to it."
+            f"{name} has {pieces} separate pieces, but must be one closed surface. Join them (for "
+            "example with a Remesh modifier), or separate the parts that are not the hand."
         )
     weights = np.asarray(hand.weights, np.float64)[kept]
     if not np.isfinite(weights).all() or (weights < 0.0).any():
@@ -156,8 +154,8 @@ def _checked_skin(
     unrigged = int((total < 1e-6).sum())
     if unrigged:
         raise MeshError(
-            f"{name} has {unrigged} of {len(vertices)} vertices that no bone carries. Weight them "
-            "(for example with Armature > With Automatic Weights)."
+            f"{name} has {unrigged} of {len(vertices)} vertices without bone weights. Assign "
+            "weights (for example with Armature > With Automatic Weights)."
         )
     return vertices, faces, weights / total[:, None]
 
@@ -176,7 +174,7 @@ def _check_bones(hand: SkinnedHand) -> None:
 
 
 def _parents_first(parents: NDArray[np.int32]) -> list[int]:
-    """Order bones so that parents come before children; raise if they form a cycle."""
+    """Order bones so that parents come before children; raise ValueError if they form a cycle."""
     order: list[int] = []
     waiting = list(range(len(parents)))
     while waiting:
@@ -199,13 +197,13 @@ def _checked_cell(
     coarsest = _MAX_CELL * float(np.ptp(vertices, axis=0).max())
     if cell > coarsest:
         raise ValueError(
-            f"A lattice cell of {cell:.3g} m is too coarse for a hand of this size: it may be "
-            f"{coarsest:.2g} m at most."
+            f"A lattice cell of {cell:.3g} m is too coarse for a hand of this size; the maximum "
+            f"is {coarsest:.2g} m."
         )
     if 2.0 * volume / cell**3 > MAX_NODES:
         raise ValueError(
-            f"A lattice cell of {cell:.3g} m would take more than {MAX_NODES:,} nodes; use one of "
-            f"at least {(2.0 * volume / MAX_NODES) ** (1 / 3):.2g} m."
+            f"A lattice cell of {cell:.3g} m would require more than {MAX_NODES:,} nodes; use at "
+            f"least {(2.0 * volume / MAX_NODES) ** (1 / 3):.2g} m."
         )
     return cell
 
@@ -215,7 +213,7 @@ def default_cell(volume: float, area: float) -> float:
     low, high = 1e-3 * volume ** (1 / 3), 10.0 * volume ** (1 / 3)
     for _ in range(60):
         cell = 0.5 * (low + high)
-        # Two nodes per cell, inside the hand and in the layer where the lattice sticks out of it.
+        # Two nodes per cell, inside the hand and in the layer of cells that its skin cuts.
         if 2.0 * (volume + 0.93 * cell * area) / cell**3 > NODE_COUNT:
             low = cell
         else:
@@ -229,8 +227,8 @@ def _ghosts(
     expected = mesh_area(vertices, faces) / spacing**2
     if expected > MAX_GHOSTS:
         raise ValueError(
-            f"Clay with a spacing of {spacing / GHOST_SPACING:.3g} m would take {expected:,.0f} "
-            f"ghosts on this hand; check the units of both."
+            f"Clay with a spacing of {spacing / GHOST_SPACING:.3g} m would require "
+            f"{expected:,.0f} ghosts on this hand; check the units of both."
         )
     if expected < 100.0:
         raise ValueError(
@@ -246,7 +244,7 @@ def _ghosts(
 def _flesh_in_own_frame(
     vertices: NDArray[np.float64], faces: NDArray[np.int32], parts: HandParts, cell: float
 ) -> FleshMesh:
-    """Fill a hand along its principal axes, so that the result does not depend on its pose."""
+    """Fill a hand along its principal axes, so that the result is independent of its placement."""
     corners = vertices[faces]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -271,21 +269,20 @@ def _embedded(
     flesh: FleshMesh,
     cell: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Tetrahedron and barycentric coordinates of skin points, never in another finger."""
-    # Palm near a finger's root may be carried by the finger's tetrahedra, but only those at the
-    # root.
+    """Tetrahedra, shape [P], and barycentric coordinates, [P, 4], of points in their own part."""
+    # Palm near a finger's root may be carried by the finger's tetrahedra at the root.
     root_group = 1 + parts.finger_count
     group = flesh.part + root_group * flesh.at_root
     part = parts.part[nearest]
-    wanted = np.column_stack([part, part])
+    allowed = np.column_stack([part, part])
     if parts.finger_count:
         root = np.where(part == PALM, 1 + parts.beyond[nearest].argmin(1), part)
-        wanted[:, 1] = root_group + root
-    carrier, outside = carriers(points, flesh.tetrahedra, group, wanted, cell)
+        allowed[:, 1] = root_group + root
+    carrier, outside = carriers(points, flesh.tetrahedra, group, allowed, cell)
     if (carrier < 0).any() or outside.min() < -MAX_OUTSIDE:
         raise ValueError(
-            f"A lattice cell of {cell:.3g} m is too coarse for this hand: parts of its skin lie "
+            f"A lattice cell of {cell:.3g} m is too coarse for this hand: parts of its skin are "
             "far from every tetrahedron. Use a smaller cell."
         )
-    place = flesh.tetrahedra.points[flesh.tetrahedra.corners[carrier]]
-    return carrier, barycentric_weights(points, place)
+    corners = flesh.tetrahedra.points[flesh.tetrahedra.corners[carrier]]
+    return carrier, barycentric_weights(points, corners)

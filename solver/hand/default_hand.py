@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand with its skeleton, of any size.
+"""The default hand with its skeleton, in any size.
 
-Bones are OpenXR's 26 joints (XR_EXT_hand_tracking), each with its origin in the joint, -Z along the
-bone towards the fingertip, +Y out of the back of the hand and +X to the right of both. Trackers use
-the same axes, so a tracker's joint pose, turned from Y up to Z up, is the bone's matrix.
+Bones are OpenXR's 26 joints (XR_EXT_hand_tracking). Each has its origin at the joint, -Z along the
+bone towards the fingertip, +Y out of the back of the hand and +X to the right. Trackers use the
+same axes, so a tracked joint's pose, converted from Y up to Z up, is the bone's matrix.
 
 The frame is that of `hand_shape`: wrist at the origin, fingers along +Y, back of the hand to +Z.
 """
@@ -34,12 +34,12 @@ REST_POSE = HandPose(
     little=(15.0, 8.0, 10.0, 6.0),
     thumb=(4.0, 6.0, 6.0, 10.0, 10.0),
 )
-"""Fingers apart and slightly bent: between a flat hand and a fist."""
+"""Fingers spread and slightly bent, between a flat hand and a fist."""
 
 _GAP = 0.0025
 """Gap between fingers at rest, in a hand of the reference length [m]."""
 _WEB = 0.6
-"""Fingers are separate beyond this point, in lengths of the proximal bone."""
+"""Fingers are separate beyond this point, in lengths of the proximal bone from the knuckle."""
 _SMOOTHING = 6
 _NEGLIGIBLE = 0.02
 """Weights below this are dropped, so that fingers do not pull on each other."""
@@ -61,11 +61,11 @@ def default_hand(
         edge_length: Typical edge of a triangle [m]; by default 2.4 % of the hand's length.
 
     Returns:
-        A watertight skin; each vertex is carried by at most four bones.
+        The hand, with a watertight skin and at most four bones per vertex.
 
     Raises:
-        ValueError: If the side is unknown, the length is not positive, or the edge is too long to
-            tell the fingers apart.
+        ValueError: The side is unknown, the length is not positive, or the edge is too long to
+            resolve the gaps between fingers.
     """
     pose = rest_pose(proportions)
     vertices, faces = hand_mesh(
@@ -109,7 +109,7 @@ def default_hand_rig(
 
 
 def rest_pose(proportions: HandProportions) -> HandPose:
-    """The pose that a hand is modeled in: `REST_POSE`, with thick fingers spread further."""
+    """The rest pose for given proportions: `REST_POSE`, with thick fingers spread further."""
     for share in np.arange(1.0, 3.0, 0.1):
         pose = replace(
             REST_POSE,
@@ -129,10 +129,10 @@ def _narrowest_gap(shape: HandShape) -> float:
     tubes = []
     for name in FINGERS:
         chain = [f"{name}_{segment}" for segment in SEGMENTS[1:]]
-        places = np.array([shape.joints[joint] for joint in chain])
+        joints = np.array([shape.joints[joint] for joint in chain])
         radii = [shape.radii[joint] for joint in chain]
-        along = np.stack([np.interp(share, range(4), axis) for axis in places.T], axis=1)
-        tubes.append((along, np.interp(share, range(4), radii)))
+        axis = np.stack([np.interp(share, range(4), values) for values in joints.T], axis=1)
+        tubes.append((axis, np.interp(share, range(4), radii)))
     gaps = [
         np.linalg.norm(first[0][:, None] - second[0], axis=2) - first[1][:, None] - second[1]
         for first, second in pairwise(tubes)
@@ -141,7 +141,7 @@ def _narrowest_gap(shape: HandShape) -> float:
 
 
 def bone_matrices(shape: HandShape) -> dict[str, NDArray[np.float64]]:
-    """World from each bone's own coordinates in a pose, by bone name, shape [4, 4]."""
+    """Matrix of each bone in a pose, bone to world, by bone name, shape [4, 4]."""
     matrices = {}
     for name in BONE_NAMES:
         matrix = np.eye(4)
@@ -152,13 +152,13 @@ def bone_matrices(shape: HandShape) -> dict[str, NDArray[np.float64]]:
 
 
 def _smoothed(weights: NDArray[np.float64], faces: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Smooth weights along the skin and keep the largest; rows add up to one, shape [V, B]."""
+    """Smooth weights along the skin and keep the largest; rows sum to one, shape [V, B]."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     degree = np.bincount(edges[:, 0], minlength=len(weights))[:, None]
     for _ in range(_SMOOTHING):
         sums = np.zeros_like(weights)
         np.add.at(sums, edges[:, 0], weights[edges[:, 1]])
         weights = 0.5 * weights + 0.5 * sums / degree
-    least = -np.sort(-weights, axis=1)[:, MAX_BONES - 1 : MAX_BONES]
-    weights = np.where(weights >= np.maximum(least, _NEGLIGIBLE), weights, 0.0)
+    threshold = -np.sort(-weights, axis=1)[:, MAX_BONES - 1 : MAX_BONES]
+    weights = np.where(weights >= np.maximum(threshold, _NEGLIGIBLE), weights, 0.0)
     return weights / weights.sum(1, keepdims=True)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The inside of a hand as tetrahedra, none of which two fingers share.
+"""Meshes the inside of a hand with tetrahedra, without connecting neighboring fingers.
 
-A lattice with cells wider than the gap between fingers has tetrahedra that reach into two fingers.
-Each such tetrahedron is copied for every finger in it, with corners of its own, as in Teran et al.,
+If lattice cells are wider than the gap between fingers, tetrahedra reach into two fingers. Each
+such tetrahedron is duplicated for every finger in it, with separate corners, as in Teran et al.,
 "Creating and simulating skeletal muscle from the visible human data set", 2005,
-10.1109/TVCG.2005.42 (virtual nodes). Copies share corners only where the palm joins them.
+10.1109/TVCG.2005.42 (virtual nodes). Duplicates share corners only where the palm joins them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .parts import PALM, HandParts, skin_pieces
 MIN_FILL = 0.2
 """Tetrahedra are dropped if less than this share of their volume is flesh."""
 MIN_QUALITY = 0.4
-"""Smallest mean ratio of a tetrahedron after the lattice's surface is moved onto the skin."""
+"""Smallest mean-ratio quality of a tetrahedron after the lattice's surface is moved to the skin."""
 REACH = 2.0
-"""Palm and finger are joined where the path between them along the skin is shorter [cells]."""
+"""Palm and finger are joined where the path along the skin between them is shorter [cells]."""
 
 _SAMPLE_REACH = 0.75 * np.sqrt(5.0) / 4.0
 """Largest distance of a sample from the center of its tetrahedron, in cells."""
@@ -46,7 +46,7 @@ class FleshMesh:
     """Tetrahedra inside a hand."""
 
     tetrahedra: Tetrahedra
-    """Every part has its own; they share nodes where the palm joins them."""
+    """Tetrahedra of all parts; parts share nodes where the palm joins them."""
     part: NDArray[np.int32]
     """Part of the hand that each tetrahedron belongs to, shape [T]."""
     at_root: NDArray[np.bool_]
@@ -55,13 +55,13 @@ class FleshMesh:
 
 @dataclass(frozen=True)
 class _Content:
-    """What is in each tetrahedron of the lattice."""
+    """The parts of the hand in each tetrahedron of the lattice."""
 
     share: NDArray[np.float64]
     """Share of its volume that each part fills, shape [T, 1 + F]."""
-    palm_way: NDArray[np.float64]
+    palm_distance: NDArray[np.float64]
     """Shortest path along the skin from each finger's root to the palm in it [m], shape [T, F]."""
-    finger_way: NDArray[np.float64]
+    finger_distance: NDArray[np.float64]
     """Shortest path from each finger in it to that finger's root [m], shape [T, F]."""
 
 
@@ -75,10 +75,10 @@ def hand_flesh(
     """Fill a hand with tetrahedra.
 
     Args:
-        skin: The skin.
-        vertices: Its vertices [m], shape [V, 3].
-        faces: Its triangles, shape [F, 3].
-        parts: How it is divided into palm and fingers.
+        skin: Distance queries on the skin.
+        vertices: Vertices of the skin [m], shape [V, 3].
+        faces: Triangles of the skin, shape [F, 3].
+        parts: Division of the skin into palm and fingers.
         cell: Edge of the lattice's cubic cells [m].
     """
     lattice = _lattice_around(skin, vertices, cell)
@@ -87,21 +87,21 @@ def hand_flesh(
     filled = (part == PALM) & (fill >= MIN_FILL)
     key = _corner_keys(lattice, content, tetrahedron, part, tetrahedron[filled], cell)
     corners_of = np.unique(key, return_inverse=True)[1].reshape(key.shape)
-    least = MIN_FILL
+    threshold = MIN_FILL
     while True:
-        kept = fill >= least
+        kept = fill >= threshold
         if _in_one_piece(corners_of[kept]) and np.isin(part, part[kept]).all():
             break
         # A finger thinner than the lattice has only tetrahedra with little flesh.
-        least = 0.5 * least if least > 1e-3 else -1.0
-        if least < 0.0:
+        threshold = 0.5 * threshold if threshold > 1e-3 else -1.0
+        if threshold < 0.0:
             kept = np.ones(len(fill), bool)
             break
     used, corners = np.unique(key[kept], return_inverse=True)
     points = lattice.points[used // (1 + parts.finger_count)]
     flesh = Tetrahedra(points, corners.reshape(-1, 4).astype(np.int32))
     owner = (used % (1 + parts.finger_count)).astype(np.int32)
-    points = _laid_on_skin(flesh, owner, vertices, faces, parts, cell)
+    points = _fitted_to_skin(flesh, owner, vertices, faces, parts, cell)
     return FleshMesh(Tetrahedra(points, flesh.corners), part[kept], at_root[kept])
 
 
@@ -118,7 +118,7 @@ def _lattice_around(skin: SkinQuery, vertices: NDArray[np.float64], cell: float)
 def _content(
     skin: SkinQuery, lattice: Tetrahedra, parts: HandParts, cell: float
 ) -> tuple[_Content, Tetrahedra]:
-    """Find what is in each tetrahedron, and drop those that are empty."""
+    """Find the parts in each tetrahedron, and drop empty tetrahedra."""
     center = skin.nearest(lattice.points[lattice.corners].mean(1))
     touched = center.depth > -_SAMPLE_REACH * cell
     corners, depth, nearest = (
@@ -128,7 +128,7 @@ def _content(
     )
     count, finger_count = len(corners), parts.finger_count
     share = np.zeros((count, 1 + finger_count))
-    way = np.full((2, count, finger_count), np.inf)
+    distance = np.full((2, count, finger_count), np.inf)
     full = depth > _SAMPLE_REACH * cell
     for rows, vertices, inside in (
         (np.flatnonzero(full), nearest[full][:, None], np.ones((int(full.sum()), 1), bool)),
@@ -139,18 +139,18 @@ def _content(
             share[rows, number] = (inside & (part == number)).mean(1)
         in_palm = (inside & (part == PALM))[..., None]
         on_finger = inside[..., None] & (part[..., None] == np.arange(1, 1 + finger_count))
-        way[0, rows] = np.where(in_palm, beyond, np.inf).min(1)
-        way[1, rows] = np.where(on_finger, -beyond, np.inf).min(1)
-    some = share.any(1)
-    content = _Content(share[some], way[0, some], way[1, some])
-    return content, Tetrahedra(lattice.points, corners[some])
+        distance[0, rows] = np.where(in_palm, beyond, np.inf).min(1)
+        distance[1, rows] = np.where(on_finger, -beyond, np.inf).min(1)
+    filled = share.any(1)
+    content = _Content(share[filled], distance[0, filled], distance[1, filled])
+    return content, Tetrahedra(lattice.points, corners[filled])
 
 
 def _sampled(
-    skin: SkinQuery, place: NDArray[np.float64]
+    skin: SkinQuery, corners: NDArray[np.float64]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """Nearest skin vertex of tetrahedron samples, and whether they are inside, [T, samples]."""
-    samples = np.einsum("sk,tkd->tsd", _SAMPLES, place)
+    """Nearest skin vertex of sample points, and whether they are inside, shape [T, samples]."""
+    samples = np.einsum("sk,tkd->tsd", _SAMPLES, corners)
     found = skin.nearest(samples.reshape(-1, 3))
     shape = samples.shape[:2]
     return found.vertex.reshape(shape), (found.depth > 0.0).reshape(shape)
@@ -161,10 +161,10 @@ def _copies(
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64], NDArray[np.bool_]]:
     """Tetrahedron, part and fill of every copy, and whether it joins a finger to the palm.
 
-    Palm in the same tetrahedron as the root of a finger goes with it; palm that a finger merely
-    touches, far from it along the skin, has a copy of its own.
+    Palm in the same tetrahedron as the root of a finger belongs to that finger's copy; palm that a
+    finger merely touches, far from it along the skin, gets a separate copy.
     """
-    joined = content.palm_way + content.finger_way < REACH * cell
+    joined = content.palm_distance + content.finger_distance < REACH * cell
     fill = content.share.copy()
     fill[:, 1:] += np.where(joined, content.share[:, :1], 0.0)
     fill[joined.any(1), PALM] = 0.0
@@ -182,20 +182,20 @@ def _corner_keys(
     palm: NDArray[np.int64],
     cell: float,
 ) -> NDArray[np.int64]:
-    """Number the corners of copies: equal numbers are the same node, shape [copies, 4].
+    """Keys for the corners of copies; equal keys mean the same node, shape [copies, 4].
 
-    A finger shares a corner with the palm where the corner is at the finger's root and belongs to a
-    tetrahedron that the palm alone fills. All its other corners are its own.
+    A finger shares a corner with the palm if the corner is at the finger's root and belongs to a
+    tetrahedron filled by the palm alone. All other corners belong to the finger only.
     """
-    point_count, finger_count = len(lattice.points), content.palm_way.shape[1]
+    point_count, finger_count = len(lattice.points), content.palm_distance.shape[1]
     in_palm = np.zeros(point_count, bool)
     in_palm[lattice.corners[palm]] = True
-    way = np.full((2, point_count, finger_count), np.inf)
+    distance = np.full((2, point_count, finger_count), np.inf)
     for corner in lattice.corners.T:
-        np.minimum.at(way[0], corner, content.palm_way)
-        np.minimum.at(way[1], corner, content.finger_way)
+        np.minimum.at(distance[0], corner, content.palm_distance)
+        np.minimum.at(distance[1], corner, content.finger_distance)
     shared = np.column_stack(
-        [np.ones(point_count, bool), in_palm[:, None] & (way.sum(0) < REACH * cell)]
+        [np.ones(point_count, bool), in_palm[:, None] & (distance.sum(0) < REACH * cell)]
     )
     corners = lattice.corners[tetrahedron].astype(np.int64)
     owner = np.where(shared[corners, part[:, None]], PALM, part[:, None])
@@ -211,7 +211,7 @@ def _in_one_piece(corners: NDArray[np.integer]) -> bool:
     return len(used) > 0 and not piece.any()
 
 
-def _laid_on_skin(
+def _fitted_to_skin(
     flesh: Tetrahedra,
     owner: NDArray[np.int32],
     vertices: NDArray[np.float64],
@@ -219,24 +219,25 @@ def _laid_on_skin(
     parts: HandParts,
     cell: float,
 ) -> NDArray[np.float64]:
-    """Move corners outside their part's skin onto it, as far as tetrahedra stay well shaped.
+    """Move corners outside their part's skin onto it while tetrahedra stay well shaped.
 
-    They stop slightly outside, where the flat faces between them cut off as much as they add. The
-    tetrahedra then have the hand's volume, and little sticks out where a finger bends.
+    Corners stop slightly outside the skin, so that the volume that the flat faces cut off equals
+    the volume they add. The tetrahedra then have the hand's volume, and protrude little where a
+    finger bends.
     """
-    way = _way_to_skin(flesh.points, owner, vertices, faces, parts, cell)
-    length = np.linalg.norm(way, axis=1, keepdims=True)
+    offset = _offset_to_skin(flesh.points, owner, vertices, faces, parts, cell)
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
     volume, area = mesh_volume(vertices, faces), mesh_area(vertices, faces)
     margin = 0.0
     for _ in range(_MARGIN_ROUNDS):
-        stop = way * np.maximum(1.0 - margin / np.maximum(length, 1e-12), 0.0)
-        moved = _moved(flesh, stop)
-        lacking = volume - float(tetrahedron_volumes(moved, flesh.corners).sum())
-        margin = float(np.clip(margin + lacking / area, 0.0, 0.3 * cell))
+        shortened = offset * np.maximum(1.0 - margin / np.maximum(length, 1e-12), 0.0)
+        moved = _moved(flesh, shortened)
+        missing = volume - float(tetrahedron_volumes(moved, flesh.corners).sum())
+        margin = float(np.clip(margin + missing / area, 0.0, 0.3 * cell))
     return moved
 
 
-def _way_to_skin(
+def _offset_to_skin(
     points: NDArray[np.float64],
     owner: NDArray[np.int32],
     vertices: NDArray[np.float64],
@@ -245,9 +246,9 @@ def _way_to_skin(
     cell: float,
 ) -> NDArray[np.float64]:
     """Offset to their part's skin for points outside it, zero for others [m], shape [N, 3]."""
-    way = np.zeros_like(points)
+    offsets = np.zeros_like(points)
     for number in range(1 + parts.finger_count):
-        # Overlap at the roots, so that neither part's skin ends in an edge there.
+        # The parts overlap at the roots, so that neither skin ends in an edge there.
         if number == PALM:
             belongs = (parts.part == PALM) | (parts.beyond > -REACH * cell).any(1)
         else:
@@ -263,17 +264,17 @@ def _way_to_skin(
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         offset = found.place - points[own]
         outside = np.einsum("ij,ij->i", offset, normal) < 0.0
-        way[own] = np.where(outside[:, None], offset, 0.0)
-    return way
+        offsets[own] = np.where(outside[:, None], offset, 0.0)
+    return offsets
 
 
-def _moved(flesh: Tetrahedra, way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners moved along their offsets as far as tetrahedra stay well shaped [m], shape [N, 3]."""
-    share = np.ones((len(way), 1))
-    for turn in range(_SNAPS + 2):
-        moved = flesh.points + share * way
+def _moved(flesh: Tetrahedra, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners moved along their offsets while tetrahedra stay well shaped [m], shape [N, 3]."""
+    share = np.ones((len(offset), 1))
+    for iteration in range(_SNAPS + 2):
+        moved = flesh.points + share * offset
         poor = tetrahedron_qualities(moved, flesh.corners) < MIN_QUALITY
         if not poor.any():
             return moved
-        share[flesh.corners[poor].ravel()] *= 0.7 if turn < _SNAPS else 0.0
+        share[flesh.corners[poor].ravel()] *= 0.7 if iteration < _SNAPS else 0.0
     return flesh.points

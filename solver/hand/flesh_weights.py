@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How strongly each bone carries each node of the flesh, so that the flesh follows the skin.
+"""Fits bone weights of the flesh's nodes, so that the flesh follows the skin.
 
-A joint o that turns by R moves a point x of the skin by (R − I) u (x − o), where u is the share of
-all bones beyond the joint. In a tetrahedron with barycentric coordinates s, nodes X and shares U it
-moves by (R − I) Σ s U (X − o). Each joint's U is found by least squares on the difference of the
-two, which does not depend on R. A bone's weight is its U minus those of its children.
+A joint o that rotates by R moves a point x of the skin by (R − I) u (x − o), where u is the total
+weight of all bones beyond the joint. A point in a tetrahedron with barycentric coordinates s, nodes
+X and total weights U moves by (R − I) Σ s U (X − o). For each joint, U minimizes the squared
+difference of the two, independently of R. A bone's weight is its U minus those of its children.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..geometry.lattice_tetrahedra import Tetrahedra
 from .rig import MAX_BONES
 
 SMOOTHNESS = 0.01
-"""Weight of differences along tetrahedron edges, relative to that of differences from the skin."""
+"""Weight of differences along tetrahedron edges, relative to differences from the skin."""
 NEGLIGIBLE = 0.01
 """Weights below this are dropped."""
 
@@ -30,27 +30,27 @@ def flesh_weights(
     carrier: NDArray[np.int32],
     share: NDArray[np.float64],
     points: NDArray[np.float64],
-    wanted: NDArray[np.float64],
+    skin_weights: NDArray[np.float64],
     joints: NDArray[np.float64],
     parents: NDArray[np.int32],
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Fit weights of nodes to those of the skin.
+    """Fit the bone weights of nodes to those of the skin.
 
     Args:
         flesh: Tetrahedra with N nodes.
         carrier: Tetrahedron of each of S points of the skin, shape [S].
         share: Their barycentric coordinates in it, shape [S, 4].
-        points: The points [m], shape [S, 3].
-        wanted: How strongly each bone carries them, rows adding up to one, shape [S, B].
-        joints: The point about which each bone turns [m], shape [B, 3].
+        points: Positions of the points [m], shape [S, 3].
+        skin_weights: Bone weights of the points, rows summing to one, shape [S, B].
+        joints: The point about which each bone rotates [m], shape [B, 3].
         parents: Index of each bone's parent, -1 for a root, shape [B]; parents before children.
 
     Returns:
-        Bones of each node, shape [N, 4], and their weights, rows adding up to one, shape [N, 4].
+        Bones of each node, shape [N, 4], and their weights, rows summing to one, shape [N, 4].
     """
     couplings = _Couplings(flesh, flesh.corners[carrier], share)
-    bone_count, node_count = wanted.shape[1], len(flesh.points)
-    beyond = wanted.copy()
+    bone_count, node_count = skin_weights.shape[1], len(flesh.points)
+    beyond = skin_weights.copy()
     for bone in range(bone_count - 1, -1, -1):
         if parents[bone] >= 0:
             beyond[:, parents[bone]] += beyond[:, bone]
@@ -73,7 +73,7 @@ def flesh_weights(
 
 
 class _Couplings:
-    """Which nodes the fit couples: those that share a tetrahedron or a point in one."""
+    """The sparse least-squares system: nodes are coupled if they share a tetrahedron."""
 
     def __init__(
         self, flesh: Tetrahedra, ring: NDArray[np.int32], share: NDArray[np.float64]
@@ -87,20 +87,20 @@ class _Couplings:
         self.row, self.column = keys // count, keys % count
         self.start = np.searchsorted(keys, np.arange(count) * count)
         data = np.concatenate([ring[:, pair] for pair in _PAIRS]).astype(np.int64)
-        self.place = np.searchsorted(keys, data[:, 0] * count + data[:, 1])
-        # The balance with smoothness must not depend on the number of skin points.
+        self.entry = np.searchsorted(keys, data[:, 0] * count + data[:, 1])
+        # Scaled so that smoothness does not depend on the number of skin points.
         self.smoothness = SMOOTHNESS * len(ring) / count
 
     def fit(
         self, joint: NDArray[np.float64], points: NDArray[np.float64], own: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Share of the bones beyond a joint in each node, within 0 and 1, shape [N]."""
+        """Total weight of the bones beyond a joint for each node, 0 to 1, shape [N]."""
         arm = self.nodes - joint
         arms = self.share[..., None] * arm[self.ring]
         value = np.concatenate([np.einsum("gi,gi->g", arms[:, i], arms[:, j]) for i, j in _PAIRS])
         length = np.linalg.norm(arm, axis=1)
         smooth = self.smoothness * length[self.row] * length[self.column]
-        off = np.bincount(self.place, weights=value, minlength=len(smooth)) - smooth
+        off = np.bincount(self.entry, weights=value, minlength=len(smooth)) - smooth
         diagonal = np.add.reduceat(smooth, self.start) + 1e-12
         goal = own[:, None] * (points - joint)
         target = np.zeros(len(arm))
@@ -130,9 +130,9 @@ class _Couplings:
             step = product / float(direction @ image)
             solution += step * direction
             residual -= step * image
-            ahead = residual / diagonal
-            before, product = product, float(residual @ ahead)
-            direction = ahead + product / before * direction
+            scaled = residual / diagonal
+            previous, product = product, float(residual @ scaled)
+            direction = scaled + product / previous * direction
         return solution
 
 

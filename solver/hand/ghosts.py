@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ghost particles on the surface of a closed mesh, which carry contact (paper, section III-D).
+"""Ghost particles on the surface of a closed mesh, which represent it in contact.
 
-Barreiro, Torres and Otaduy rasterize ghost particles on a solid in its rest configuration and move
-them with it. Here they lie on the surface, each carried by a triangle, and each represents the part
-of the surface nearest to it, so that their areas add up to that of the mesh.
+Barreiro, Torres and Otaduy (WHC 2021, section III-D) rasterize ghost particles on a solid in its
+rest configuration and move them with it. Here they lie on the surface, each in a triangle. Each
+represents the part of the surface nearest to it, so that their areas sum to the mesh's area.
 """
 
 from __future__ import annotations
@@ -17,17 +17,18 @@ from numpy.typing import NDArray
 from ..core.recording_lock import recording_lock
 
 COVER_RADIUS = 0.57
-"""A ghost covers the surface this far around it, in ghost spacings."""
+"""Radius of the surface that a ghost covers, in ghost spacings."""
 CANDIDATE_SPACING = 0.2
 """Longest edge of the surface pieces among which ghosts are chosen, in ghost spacings.
 
-No point of a piece is farther from its centroid than two thirds of that, so that no point of the
-surface is farther than 0.57 + 0.133 < 1/√2 spacings from a ghost: as dense as a square lattice.
+No point of a piece is farther from its centroid than two thirds of that. Thus no point of the
+surface is farther than 0.57 + 0.133 < 1/√2 spacings from a ghost, as in a square lattice.
 """
 SLENDER = 5.0
-"""Triangles with a larger longest edge squared over area are halved first; equilateral: 2.3."""
+"""Triangles whose squared longest edge over area exceeds this are halved first (equilateral
+triangles have 2.3)."""
 SAME_SIDE = 0.5
-"""Ghosts cover only surface whose normal has at least this cosine with theirs."""
+"""Ghosts cover only points whose normals have at least this cosine with theirs."""
 _GRID_CELLS = 64
 _COVER_CELLS = 128
 
@@ -41,19 +42,19 @@ class SurfaceGhosts:
     weights: NDArray[np.float64]
     """Barycentric coordinates in that triangle, shape [G, 3]."""
     area: NDArray[np.float64]
-    """Surface area that each represents, in the rest shape [m²], shape [G]."""
+    """Surface area that each ghost represents, in the rest shape [m²], shape [G]."""
 
     def positions(
         self, vertices: NDArray[np.floating], faces: NDArray[np.integer]
     ) -> NDArray[np.float64]:
-        """Ghost positions for given vertex positions [m], shape [G, 3]."""
+        """Positions of the ghosts for given vertex positions [m], shape [G, 3]."""
         corners = np.asarray(vertices, np.float64)[np.asarray(faces)[self.face]]
         return np.einsum("gk,gkd->gd", self.weights, corners)
 
     def normals(
         self, vertices: NDArray[np.floating], faces: NDArray[np.integer]
     ) -> NDArray[np.float64]:
-        """Their outward unit normals, for faces that wind outward, shape [G, 3]."""
+        """Outward unit normals of the ghosts, for faces wound outward, shape [G, 3]."""
         return _face_normals(np.asarray(vertices, np.float64), np.asarray(faces))[self.face]
 
 
@@ -66,9 +67,9 @@ def rasterize_ghosts(
     a particle of radius ``spacing`` cannot slip between them.
 
     Args:
-        vertices: Corner positions [m], shape [V, 3].
+        vertices: Vertex positions [m], shape [V, 3].
         faces: Triangles, shape [F, 3], wound outward.
-        spacing: Distance of ghosts [m].
+        spacing: Distance between ghosts [m].
 
     Raises:
         ValueError: The spacing is not a positive number.
@@ -78,9 +79,9 @@ def rasterize_ghosts(
     points = np.asarray(vertices, np.float64)
     triangles = np.asarray(faces, np.int64)
     face, weights, area = _cut_faces(points, triangles, CANDIDATE_SPACING * spacing)
-    place = np.einsum("gk,gkd->gd", weights, points[triangles[face]])
+    position = np.einsum("gk,gkd->gd", weights, points[triangles[face]])
     normal = _face_normals(points, triangles)[face]
-    chosen, owner = _cover(place, normal, COVER_RADIUS * spacing)
+    chosen, owner = _cover(position, normal, COVER_RADIUS * spacing)
     return SurfaceGhosts(
         face=face[chosen].astype(np.int32),
         weights=weights[chosen],
@@ -104,8 +105,8 @@ def _cut_faces(
         For each piece its triangle, the barycentric coordinates of its centroid, and its area.
     """
     face, corners, area = _cut_slivers(points, triangles, longest)
-    place = corners @ points[triangles[face]]
-    edges = np.linalg.norm(place - np.roll(place, -1, axis=1), axis=2).max(1)
+    position = corners @ points[triangles[face]]
+    edges = np.linalg.norm(position - np.roll(position, -1, axis=1), axis=2).max(1)
     cuts = np.maximum(np.ceil(edges / longest - 1e-9).astype(np.int64), 1)
     faces, weights, areas = [], [], []
     for count in np.unique(cuts):
@@ -129,22 +130,22 @@ def _cut_faces(
 def _cut_slivers(
     points: NDArray[np.float64], triangles: NDArray[np.int64], longest: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Halve slender triangles across their longest edges until they are stout or short.
+    """Halve slender triangles across their longest edges until they are no longer slender or long.
 
     Returns:
         For each piece its triangle, the barycentric coordinates of its corners, and its area.
     """
-    place = points[triangles]
+    position = points[triangles]
     area = 0.5 * np.linalg.norm(
-        np.cross(place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]), axis=1
+        np.cross(position[:, 1] - position[:, 0], position[:, 2] - position[:, 0]), axis=1
     )
     face = np.flatnonzero(area > 0.0)
     area = area[face]
     corners = np.tile(np.eye(3), (len(face), 1, 1))
     done = []
     while len(face):
-        place = corners @ points[triangles[face]]
-        edges = np.linalg.norm(place - np.roll(place, -1, axis=1), axis=2)
+        position = corners @ points[triangles[face]]
+        edges = np.linalg.norm(position - np.roll(position, -1, axis=1), axis=2)
         slender = (edges.max(1) > longest) & (edges.max(1) ** 2 > SLENDER * area)
         done.append((face[~slender], corners[~slender], area[~slender]))
         face, corners, area = face[slender], corners[slender], area[slender]
@@ -162,21 +163,21 @@ def choose_cover(
     grid: wp.uint64,
     radius: float,
     order: wp.array[int],
-    place: wp.array[wp.vec3],
+    position: wp.array[wp.vec3],
     normal: wp.array[wp.vec3],
     nearest: wp.array[float],
     owner: wp.array[int],
     chosen: wp.array[int],
     chosen_count: wp.array[int],
 ) -> None:
-    """Choose points one after another, in a single thread, until all points are covered."""
+    """Choose points one by one, in a single thread, until all points are covered."""
     used = int(0)
-    for turn in range(order.shape[0]):
-        i = order[turn]
+    for index in range(order.shape[0]):
+        i = order[index]
         if owner[i] < 0:
-            x = place[i]
+            x = position[i]
             for j in wp.hash_grid_query(grid, x, radius):
-                distance = wp.length(place[j] - x)
+                distance = wp.length(position[j] - x)
                 same_side = wp.dot(normal[j], normal[i]) > SAME_SIDE
                 if same_side and distance < wp.min(radius, nearest[j]):
                     nearest[j] = distance
@@ -189,23 +190,23 @@ def choose_cover(
 
 
 def _cover(
-    place: NDArray[np.float64], normal: NDArray[np.float64], radius: float
+    position: NDArray[np.float64], normal: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """Choose points until every point has a chosen one within the radius, on the same side.
 
     Returns:
         Indices of the chosen points, and for each point the nearest chosen one on its side.
     """
-    count = len(place)
-    # Neighbors in space become neighbors in memory, which is several times faster.
-    cell = np.floor((place - place.min(0)) / radius).astype(np.int64)
+    count = len(position)
+    # Sorting neighbors in space next to each other in memory is several times faster.
+    cell = np.floor((position - position.min(0)) / radius).astype(np.int64)
     sorting = np.lexsort(cell.T)
-    # In random order: along the rows of a cut triangle, each ghost would cover half of what the
-    # one before it covers.
+    # In random order, because along the rows of a cut triangle each ghost would cover half of the
+    # points that the previous one covers.
     order = np.random.default_rng(0).permutation(count)
     with recording_lock:
-        # About their middle, where float32 resolves them best.
-        points = wp.array((place - place.mean(0))[sorting], dtype=wp.vec3, device="cpu")
+        # Centered, where float32 has the highest resolution.
+        points = wp.array((position - position.mean(0))[sorting], dtype=wp.vec3, device="cpu")
         grid = wp.HashGrid(_COVER_CELLS, _COVER_CELLS, _COVER_CELLS, device="cpu")
         grid.build(points, radius)
         owner = wp.full(count, -1, dtype=int, device="cpu")
@@ -245,7 +246,7 @@ def carry_ghosts(
     normal: wp.array[wp.vec3],
     drift: wp.array[wp.vec3],
 ) -> None:
-    """Place ghosts in their triangles."""
+    """Move ghosts with their triangles."""
     g = wp.tid()
     a = indices[3 * face[g]]
     b = indices[3 * face[g] + 1]
@@ -258,11 +259,11 @@ def carry_ghosts(
 
 
 class GhostMesh:
-    """The ghosts of one mesh on the device, in the mesh's coordinates, with a grid to find them.
+    """The ghosts of one mesh on the device, in the mesh's coordinates, with a search grid.
 
     Args:
         ghosts: The ghosts.
-        reach: Largest distance at which they are searched for [m].
+        reach: Largest search distance [m].
         device: Warp device.
     """
 
@@ -274,21 +275,21 @@ class GhostMesh:
         self.face = wp.array(ghosts.face, dtype=int, device=device)
         self.weights = wp.array(ghosts.weights, dtype=wp.vec3, device=device)
         self.area = wp.array(ghosts.area, dtype=float, device=device)
-        """In the rest shape [m²]."""
+        """Area in the rest shape [m²]."""
         self.position = wp.zeros(count, dtype=wp.vec3, device=device)
         """[m]"""
         self.normal = wp.zeros(count, dtype=wp.vec3, device=device)
-        """Outward."""
+        """Outward unit normals."""
         self.drift = wp.zeros(count, dtype=wp.vec3, device=device)
-        """Their motion in a substep due to the mesh's change of shape [m]."""
+        """Motion in a substep due to the mesh's deformation [m]."""
         self.grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
 
     def carry(self, mesh: wp.Mesh, orientation: wp.array, row: int) -> None:
-        """Follow the mesh to its current vertices.
+        """Move the ghosts to the mesh's current vertices.
 
         Args:
             mesh: The mesh; its velocities hold the motion of vertices in a substep [m].
-            orientation: 1 for each mesh that winds outward, -1 for one turned inside out.
+            orientation: 1 for each mesh wound outward, -1 for one that is inside out.
             row: The mesh's index in ``orientation``.
         """
         wp.launch(

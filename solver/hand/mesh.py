@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand: a watertight mesh generated from 26 joints, their radii and a pose.
+"""Generates the default hand's watertight mesh from its joints, their radii and a pose.
 
 The mesh is a surface net of the hand's signed distance, relaxed along the surface and projected
 back onto it.

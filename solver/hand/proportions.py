@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How large the parts of a hand are, and those of an average adult.
+"""Proportions of hands, and those of an average adult.
 
-The joints are those of OpenXR's XR_EXT_hand_tracking. Lengths of the average hand's bones follow
-Buryanov and Kotiuk, "Proportions of Hand Segments", International Journal of Morphology 28(3),
-2010; breadths are rounded averages of adult hands.
+The joints are those of OpenXR's XR_EXT_hand_tracking. The average bone lengths follow Buryanov and
+Kotiuk, "Proportions of Hand Segments", International Journal of Morphology 28(3), 2010; breadths
+are rounded averages of adult hands.
 
 Frame: the wrist joint is the origin, straight fingers point to +Y, the back of the hand to +Z, and
 the thumb of a right hand to -X.
@@ -33,7 +33,7 @@ JOINT_NAMES: tuple[str, ...] = (
 """The joints of XrHandJointEXT, in its order."""
 
 REFERENCE_LENGTH = 0.19
-"""Hand length for which proportions are given [m]."""
+"""Hand length to which proportions refer [m]."""
 
 
 class Finger(NamedTuple):
@@ -44,7 +44,7 @@ class Finger(NamedTuple):
     knuckle: Vec3
     """Head of the metacarpal, where the finger bends."""
     lengths: Vec3
-    """Proximal and intermediate bone, then the distal bone with the pad before it."""
+    """Proximal and intermediate bone, then the distal bone including the pad beyond it."""
     radii: tuple[float, float, float, float, float]
     """At the metacarpal's base, the knuckle, the two finger joints and the tip."""
 
@@ -55,31 +55,31 @@ class Thumb(NamedTuple):
     base: Vec3
     """Base of the metacarpal."""
     lengths: Vec3
-    """Metacarpal and proximal bone, then the distal bone with the pad before it."""
+    """Metacarpal and proximal bone, then the distal bone including the pad beyond it."""
     radii: tuple[float, float, float, float]
     """At the metacarpal's base, the two joints and the tip."""
 
 
 @dataclass(frozen=True)
 class HandProportions:
-    """Lengths and radii of a right hand, scaled so that it is `REFERENCE_LENGTH` long.
+    """Lengths and radii of a right hand, scaled to a length of `REFERENCE_LENGTH`.
 
     A hand's length is measured from the wrist joint to the tip of the straight middle finger.
     """
 
     palm: Vec3
-    """Palm joint [m]."""
+    """Position of the palm joint [m]."""
     palm_radius: float
-    """[m]"""
+    """Radius at the palm joint [m]."""
     wrist_radius: float
-    """[m]"""
+    """Radius at the wrist joint [m]."""
     thumb: Thumb
     """The thumb."""
     fingers: Mapping[str, Finger]
     """The other fingers, by their names in FINGERS."""
 
     def palm_scale(self) -> Array:
-        """Breadth, length and thickness of the palm over the average hand's, shape [3]."""
+        """Breadth, length and thickness of the palm relative to the average hand, shape [3]."""
         sizes = np.array([_palm_size(hand) for hand in (self, AVERAGE)])
         return sizes[0] / sizes[1]
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A hand bound for simulation: its skin, skeleton, tetrahedra and ghosts, all in the rest pose.
+"""A hand bound for simulation: its skin, skeleton, tetrahedra and ghosts in the rest pose.
 
 After section III-D of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: flesh is a mesh of tetrahedra attached to bones, and ghost particles rasterized in the
-rest pose are carried by the tetrahedra around them.
+WHC 2021: flesh is a tetrahedral mesh attached to bones, and ghost particles rasterized in the rest
+pose are embedded in the tetrahedra around them.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ MAX_BONES = 4
 class HandRig:
     """The rest pose of a hand. Lengths in meters, in world coordinates at the time of binding.
 
-    Points carried by tetrahedra have four barycentric weights, which add up to one; some are
+    Points embedded in tetrahedra have four barycentric coordinates that sum to one; some are
     negative for points slightly outside their tetrahedron.
 
     Raises:
-        ValueError: Arrays do not fit each other, or hold values that are not finite.
+        ValueError: The shapes of arrays are inconsistent, or values are not finite.
     """
 
     side: str
     """Which hand: left or right, or empty if unknown."""
     vertices: NDArray[np.float64]
-    """Skin, shape [V, 3]."""
+    """Vertices of the skin, shape [V, 3]."""
     faces: NDArray[np.int32]
     """Triangles of the closed skin, wound outward, shape [F, 3]."""
     bone_names: tuple[str, ...]
     """Names of the B bones, in the order of all arrays of bones."""
     bone_rest: NDArray[np.float64]
-    """World from each bone's own coordinates, shape [B, 4, 4]."""
+    """Rest matrix of each bone, bone to world, shape [B, 4, 4]."""
     bone_parent: NDArray[np.int32]
     """Index of each bone's parent, -1 for a root, shape [B]; parents come before children."""
     nodes: NDArray[np.float64]
     """Nodes of the flesh, shape [N, 3]."""
     tetrahedra: NDArray[np.int32]
-    """Shape [T, 4], of positive volume."""
+    """Nodes of each tetrahedron, of positive volume, shape [T, 4]."""
     node_bones: NDArray[np.int32]
     """Bones that carry each node, shape [N, 4]."""
     node_weights: NDArray[np.float64]
-    """How strongly each does, rows adding up to one, shape [N, 4]."""
+    """Weights of these bones, rows summing to one, shape [N, 4]."""
     vertex_tetrahedron: NDArray[np.int32]
     """Tetrahedron that carries each vertex of the skin, shape [V]."""
     vertex_weights: NDArray[np.float64]
@@ -61,7 +61,7 @@ class HandRig:
     ghost_normals: NDArray[np.float64]
     """Outward unit normals of ghosts on the surface, zero for those inside, shape [G, 3]."""
     ghost_areas: NDArray[np.float64]
-    """Area of skin each ghost represents [m²], zero for those inside, shape [G]."""
+    """Area of the skin that each ghost represents [m²], zero for those inside, shape [G]."""
     ghost_spacing: float
     """Distance between neighboring ghosts [m]."""
 
@@ -102,18 +102,17 @@ class HandRig:
                 raise ValueError(f"HandRig.{name} has indices out of range.")
 
     def skinned_nodes(self, bones: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """Node positions if bones alone carried them (linear blend skinning) [m], shape [N, 3].
+        """Positions of the nodes by linear blend skinning, without elasticity [m], shape [N, 3].
 
         Args:
-            bones: World from each bone's own coordinates, by bone name, shape [4, 4]; bones not
-                named stay at rest.
+            bones: Matrices of bones by name, bone to world, shape [4, 4]; other bones stay at rest.
         """
-        turn = np.tile(np.eye(4), (len(self.bone_names), 1, 1))
+        matrices = np.tile(np.eye(4), (len(self.bone_names), 1, 1))
         for index, name in enumerate(self.bone_names):
             if name in bones:
                 pose = np.asarray(bones[name], np.float64)
-                turn[index] = pose @ np.linalg.inv(self.bone_rest[index])
-        blended = np.einsum("nk,nkij->nij", self.node_weights, turn[self.node_bones])
+                matrices[index] = pose @ np.linalg.inv(self.bone_rest[index])
+        blended = np.einsum("nk,nkij->nij", self.node_weights, matrices[self.node_bones])
         return np.einsum("nij,nj->ni", blended[:, :3, :3], self.nodes) + blended[:, :3, 3]
 
     def carried_vertices(self, nodes: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -125,15 +124,15 @@ class HandRig:
         return _carried(nodes, self.tetrahedra[self.ghost_tetrahedron], self.ghost_weights)
 
     def to_arrays(self) -> dict[str, NDArray]:
-        """Everything as plain arrays, for `from_arrays` and for files."""
+        """All fields as arrays, for `from_arrays` and for files."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray]) -> HandRig:
-        """Build the rig that `to_arrays` gave.
+        """Create a rig from the result of `to_arrays`.
 
         Raises:
-            ValueError: An array is missing or does not fit; the message names it.
+            ValueError: An array is missing or inconsistent; the message names it.
         """
         missing = [field.name for field in fields(cls) if field.name not in arrays]
         if missing:

@@ -31,8 +31,8 @@ _THUMB_NAIL = (-0.62, -0.28, 0.73)
 class HandPose:
     """Joint angles of a hand [degrees].
 
-    Flexion bends towards the palm; spread turns a finger sideways, away from the middle finger
-    for the index (negative) and for the ring and little finger (positive).
+    Flexion bends towards the palm. Spread rotates a finger sideways, away from the middle finger
+    if it is negative for the index finger, and positive for the ring and little fingers.
     """
 
     index: tuple[float, float, float, float] = (-5.0, 0.0, 0.0, 0.0)
@@ -44,7 +44,7 @@ class HandPose:
     little: tuple[float, float, float, float] = (12.0, 0.0, 0.0, 0.0)
     """As for the index finger."""
     thumb: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """At its base: flexion across the palm, lift out of the palm's plane and roll towards the
+    """At its base: flexion across the palm, lift out of the palm's plane, and roll towards the
     fingers; then flexion of its two joints."""
 
 
@@ -86,16 +86,16 @@ POSES: Mapping[str, HandPose] = MappingProxyType(
 
 @dataclass(frozen=True)
 class HandShape:
-    """Joint positions of a hand, and how far the skin is from each joint."""
+    """Positions, radii and axes of a hand's joints."""
 
     joints: Mapping[str, Array]
     """Position of each joint [m], shape [3], by the names in JOINT_NAMES."""
     radii: Mapping[str, float]
-    """Radius of each joint [m], by the same names."""
+    """Distance from each joint to the skin [m], by the same names."""
     axes: Mapping[str, Array]
     """Axes of each joint as columns, shape [3, 3]: Y towards the tip, Z out of the hand's back."""
     palm_scale: Array
-    """Breadth, length and thickness of the palm over the average hand's, shape [3]."""
+    """Breadth, length and thickness of the palm relative to the average hand, shape [3]."""
 
 
 def hand_shape(
@@ -142,20 +142,20 @@ def scale_factors(side: str, length: float) -> Array:
 
 
 def named_pose(pose: str | HandPose) -> HandPose:
-    """A pose by its name; poses are passed through.
+    """The pose with a name; a `HandPose` is returned unchanged.
 
     Raises:
-        ValueError: There is no pose of that name.
+        ValueError: There is no pose with that name.
     """
     if isinstance(pose, HandPose):
         return pose
     if pose not in POSES:
-        raise ValueError(f"There is no pose {pose!r}; the poses are {', '.join(POSES)}.")
+        raise ValueError(f"Unknown pose {pose!r}; the poses are {', '.join(POSES)}.")
     return POSES[pose]
 
 
 def rotation(axis: int, degrees: float) -> Array:
-    """Rotation about a coordinate axis, counter-clockwise seen from its tip, shape [3, 3]."""
+    """Rotation about a coordinate axis by a right-handed angle, shape [3, 3]."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix = np.eye(3)
     first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -165,7 +165,7 @@ def rotation(axis: int, degrees: float) -> Array:
 
 
 def frame_along(forward: Array, up: Array) -> Array:
-    """Axes as columns: Y is forward, Z as near to up as possible, shape [3, 3]."""
+    """Axes as columns: Y is forward, Z as close to up as possible, shape [3, 3]."""
     forward = forward / np.linalg.norm(forward)
     up = up - forward * (up @ forward)
     up = up / np.linalg.norm(up)
@@ -182,31 +182,32 @@ def reference_shape(pose: HandPose, proportions: HandProportions = AVERAGE) -> H
     thumb = proportions.thumb
     axes = frame_along(np.array(_THUMB_DIRECTION), np.array(_THUMB_NAIL))
     axes = axes @ rotation(2, -lift) @ rotation(0, -flexion) @ rotation(1, -roll)
-    place = np.array(thumb.base)
+    position = np.array(thumb.base)
     tip_inset = (0.0, 0.0, thumb.radii[-1])
-    joints["thumb_metacarpal"], radii["thumb_metacarpal"] = place, thumb.radii[0]
+    joints["thumb_metacarpal"], radii["thumb_metacarpal"] = position, thumb.radii[0]
     frames["thumb_metacarpal"] = axes
-    for number, bone in enumerate(thumb.lengths):
-        place = place + axes[:, 1] * (bone - tip_inset[number])
-        joints[f"thumb_{THUMB_SEGMENTS[number + 1]}"] = place
-        radii[f"thumb_{THUMB_SEGMENTS[number + 1]}"] = thumb.radii[number + 1]
-        if number < 2:
-            axes = axes @ rotation(0, -bends[number])
-        frames[f"thumb_{THUMB_SEGMENTS[number + 1]}"] = axes
+    for index, length in enumerate(thumb.lengths):
+        position = position + axes[:, 1] * (length - tip_inset[index])
+        joints[f"thumb_{THUMB_SEGMENTS[index + 1]}"] = position
+        radii[f"thumb_{THUMB_SEGMENTS[index + 1]}"] = thumb.radii[index + 1]
+        if index < 2:
+            axes = axes @ rotation(0, -bends[index])
+        frames[f"thumb_{THUMB_SEGMENTS[index + 1]}"] = axes
 
     for name, finger in proportions.fingers.items():
         spread, *bends = getattr(pose, name)
-        place = np.array(finger.knuckle)
-        joints[f"{name}_metacarpal"], joints[f"{name}_proximal"] = np.array(finger.carpal), place
+        position = np.array(finger.knuckle)
+        joints[f"{name}_metacarpal"], joints[f"{name}_proximal"] = np.array(finger.carpal), position
         frames[f"{name}_metacarpal"] = frame_along(
-            place - joints[f"{name}_metacarpal"], np.array([0.0, 0.0, 1.0])
+            position - joints[f"{name}_metacarpal"], np.array([0.0, 0.0, 1.0])
         )
         axes = rotation(2, -spread)
-        for number, bone in enumerate(finger.lengths):
-            axes = axes @ rotation(0, -bends[number])
-            frames[f"{name}_{SEGMENTS[number + 1]}"] = axes
-            place = place + axes[:, 1] * (bone - (finger.radii[-1] if number == 2 else 0.0))
-            joints[f"{name}_{SEGMENTS[number + 2]}"] = place
+        for index, length in enumerate(finger.lengths):
+            axes = axes @ rotation(0, -bends[index])
+            frames[f"{name}_{SEGMENTS[index + 1]}"] = axes
+            inset = finger.radii[-1] if index == 2 else 0.0
+            position = position + axes[:, 1] * (length - inset)
+            joints[f"{name}_{SEGMENTS[index + 2]}"] = position
         frames[f"{name}_tip"] = axes
         for segment, radius in zip(SEGMENTS, finger.radii, strict=True):
             radii[f"{name}_{segment}"] = radius

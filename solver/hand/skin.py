@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The skin of a hand as a signed distance: a smooth union of round cones and ellipsoids.
 
-Fingers join the palm smoothly and each other sharply, so that they never merge. All lengths are for
-a hand of `REFERENCE_LENGTH`.
+Fingers join the palm smoothly, but each other sharply, so that they never merge. All lengths are
+for a hand of `REFERENCE_LENGTH`.
 """
 
 from itertools import pairwise
@@ -17,7 +17,15 @@ Array = NDArray[np.float64]
 
 
 def round_cone(points: Array, start: Array, end: Array, first: float, second: float) -> Array:
-    """Signed distance to the hull of two balls [m], shape [N]."""
+    """Signed distance to the convex hull of two balls [m], shape [N].
+
+    Args:
+        points: Points [m], shape [N, 3].
+        start: Center of the first ball [m], shape [3].
+        end: Center of the second ball [m], shape [3].
+        first: Radius of the first ball [m].
+        second: Radius of the second ball [m].
+    """
     axis = end - start
     length = float(np.linalg.norm(axis))
     slope = float(np.clip((first - second) / length, -0.999, 0.999))
@@ -33,7 +41,7 @@ def round_cone(points: Array, start: Array, end: Array, first: float, second: fl
 
 
 def ellipsoid(points: Array, center: Array, axes: Array, radii: ArrayLike) -> Array:
-    """Signed distance to an ellipsoid [m], shape [N]: exact on its surface, close near it."""
+    """Approximate signed distance to an ellipsoid, accurate near its surface [m], shape [N]."""
     local = (points - center) @ axes
     scaled = np.linalg.norm(local / np.asarray(radii), axis=1)
     slope = np.maximum(np.linalg.norm(local / np.square(radii), axis=1), 1e-9)
@@ -52,10 +60,10 @@ def skin_distance(points: Array, shape: HandShape) -> Array:
     distance = palm
     for name in ("thumb", *FINGERS):
         finger = _finger_distance(points, shape, name)
-        # Only the root of a finger runs into the palm: a fingertip that touches it stays apart.
+        # Only the root of a finger blends with the palm; a fingertip that touches it does not.
         knuckle = f"{name}_proximal"
-        way = np.linalg.norm(points - shape.joints[knuckle], axis=1) / shape.radii[knuckle]
-        distance = np.minimum(distance, blend(palm, finger, 0.005 * np.clip(3 - way, 0.05, 1)))
+        radii = np.linalg.norm(points - shape.joints[knuckle], axis=1) / shape.radii[knuckle]
+        distance = np.minimum(distance, blend(palm, finger, 0.005 * np.clip(3 - radii, 0.05, 1)))
     return distance
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How strongly each bone of the default hand carries its skin.
+"""Bone weights of the default hand's skin.
 
-A point is shared among fingers by its distance to each, and within a finger among the bones on
-either side of a joint by its distance beyond the joint's bisecting plane.
+The weights of a point are divided among fingers by its distance to each finger, and within a finger
+between the bones at a joint by its distance from the joint's bisecting plane.
 """
 
 from itertools import pairwise
@@ -16,18 +16,18 @@ from .shape import HandShape
 Array = NDArray[np.float64]
 
 BONE_NAMES: tuple[str, ...] = ("wrist", "palm", *JOINT_NAMES[2:])
-"""Bones, named by the joint where each begins; parents come before children."""
+"""Bones, named after the joints at their heads; parents come before children."""
 
 _SHARPNESS = 8
-"""Exponent of the nearness: how sharply skin passes from one finger to the next."""
+"""Exponent of the nearness: sharpness of the transition from one finger to the next."""
 _WRIST_NEARNESS = 3.0**-_SHARPNESS
 """Skin farther than three radii from every finger follows the wrist."""
 _CARPUS = {"thumb": (-0.3, 0.45), "finger": (-0.1, 0.55)}
-"""Where skin passes from the wrist to a metacarpal, from its base in lengths of the bone."""
+"""Range of the transition from the wrist to a metacarpal, from its base in lengths of the bone."""
 _BLEND = {"proximal": 1.25, "intermediate": 0.95, "distal": 0.85}
 """Half the width of the transition from one bone to the next, in radii of the joint."""
 _CREASE = {"proximal": 0.55, "intermediate": 0.1, "distal": 0.1}
-"""Shift of the transition towards the tip on the palm's side, per distance from the axis."""
+"""Shift of the transition towards the tip on the palm side, per distance from the axis."""
 
 
 def bone_parents() -> NDArray[np.int32]:
@@ -39,7 +39,7 @@ def bone_parents() -> NDArray[np.int32]:
 
 
 def bone_weights(points: Array, shape: HandShape) -> Array:
-    """How strongly each of BONE_NAMES carries each point of the skin, shape [N, 26].
+    """Bone weights of points on the skin, in the order of BONE_NAMES, shape [N, 26].
 
     Args:
         points: Points on the skin in the shape's pose [m], shape [N, 3].
@@ -56,10 +56,10 @@ def bone_weights(points: Array, shape: HandShape) -> Array:
     for chain, near in zip(chains.values(), nearness.T, strict=True):
         beyond = _beyond_wrist(points, shape, chain)
         weights[:, 0] += near / total * (1.0 - beyond)
-        for number, joint in enumerate(chain[:-1]):
+        for index, joint in enumerate(chain[:-1]):
             following = (
-                _beyond(points, shape, chain, number + 1)
-                if number + 2 < len(chain)
+                _beyond(points, shape, chain, index + 1)
+                if index + 2 < len(chain)
                 else np.zeros(len(points))
             )
             following = np.minimum(following, beyond)
@@ -69,41 +69,41 @@ def bone_weights(points: Array, shape: HandShape) -> Array:
 
 
 def _nearness(points: Array, shape: HandShape, chain: list[str]) -> Array:
-    """How near points are to a finger, relative to its radii, shape [N]."""
+    """Nearness of points to a finger: an inverse power of their distance in radii, shape [N]."""
     nearest = np.full(len(points), np.inf)
     for start, end in pairwise(chain):
         axis = shape.joints[end] - shape.joints[start]
         offset = points - shape.joints[start]
         along = np.clip(offset @ axis / (axis @ axis), 0.0, 1.0)
-        way = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+        distance = np.linalg.norm(offset - along[:, None] * axis, axis=1)
         radius = shape.radii[start] + along * (shape.radii[end] - shape.radii[start])
-        nearest = np.minimum(nearest, way / radius)
+        nearest = np.minimum(nearest, distance / radius)
     return np.minimum(np.maximum(nearest, 1e-3) ** -_SHARPNESS, 1e3)
 
 
 def _beyond_wrist(points: Array, shape: HandShape, chain: list[str]) -> Array:
-    """Share of skin that follows a metacarpal or the bones beyond, not the wrist, shape [N]."""
+    """Weight of a metacarpal and the bones beyond it, relative to the wrist, shape [N]."""
     start, end = shape.joints[chain[0]], shape.joints[chain[1]]
-    way = (points - start) @ (end - start) / ((end - start) @ (end - start))
+    along = (points - start) @ (end - start) / ((end - start) @ (end - start))
     first, last = _CARPUS["thumb" if chain[0].startswith("thumb") else "finger"]
-    return _step((way - first) / (last - first))
+    return _step((along - first) / (last - first))
 
 
-def _step(way: Array) -> Array:
-    """Rise smoothly from 0 at 0 to 1 at 1."""
-    share = np.clip(way, 0.0, 1.0)
+def _step(x: Array) -> Array:
+    """Smoothstep: rises from 0 at 0 to 1 at 1."""
+    share = np.clip(x, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
-def _beyond(points: Array, shape: HandShape, chain: list[str], number: int) -> Array:
-    """Share of skin that follows the bones beyond a joint: 0 before it, 1 after it, shape [N]."""
-    joint, before = chain[number], chain[number - 1]
+def _beyond(points: Array, shape: HandShape, chain: list[str], index: int) -> Array:
+    """Weight of the bones beyond a joint: 0 before the joint, 1 after it, shape [N]."""
+    joint, before = chain[index], chain[index - 1]
     ahead = shape.axes[joint][:, 1] + shape.axes[before][:, 1]
     up = shape.axes[joint][:, 2] + shape.axes[before][:, 2]
     offset = points - shape.joints[joint]
     segment = joint.split("_")[1]
     radius = shape.radii[joint]
-    way = offset @ (ahead / np.linalg.norm(ahead))
+    distance = offset @ (ahead / np.linalg.norm(ahead))
     depth = np.clip(-offset @ (up / np.linalg.norm(up)), -1.5 * radius, 1.5 * radius)
-    way = way - _CREASE[segment] * depth
-    return _step(0.5 + 0.5 * way / (_BLEND[segment] * radius))
+    distance = distance - _CREASE[segment] * depth
+    return _step(0.5 + 0.5 * distance / (_BLEND[segment] * radius))

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands in motion: bones lead, flesh follows and yields, clay pushes back."""
+"""Hands in motion: elastic flesh on moving bones, in contact with clay."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The path of a hand's bones through a step: rotations turn evenly, joints go straight."""
+"""Interpolates a hand's bones over a step: rotations by slerp, positions linearly."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ Array = NDArray[np.float64]
 
 
 class BonePath:
-    """Bones between the poses of two steps.
+    """Poses of bones between the ends of two steps.
 
     Args:
-        rest: World from each bone's own coordinates at rest, shape [B, 4, 4].
+        rest: Rest matrix of each bone, bone to world, shape [B, 4, 4].
     """
 
     def __init__(self, rest: Array) -> None:
         self._rest_inverse = np.linalg.inv(rest)
-        self._rest_turn = quaternions_from_matrices(_split(rest[:, :3, :3])[0])
+        self._rest_rotation = quaternions_from_matrices(_split(rest[:, :3, :3])[0])
         self.start = rest.copy()
         """Poses at the end of the last step, shape [B, 4, 4]."""
         self.end = rest.copy()
@@ -40,7 +40,7 @@ class BonePath:
         self._prepare()
 
     def aim(self, end: Array) -> None:
-        """Plan the path from the current poses to the next ones, shape [B, 4, 4]."""
+        """Set the poses at the end of this step, shape [B, 4, 4]."""
         self.end = end.copy()
         self._prepare()
 
@@ -51,27 +51,27 @@ class BonePath:
     def _prepare(self) -> None:
         first, self._first_stretch = _split(self.start[:, :3, :3])
         last, self._last_stretch = _split(self.end[:, :3, :3])
-        self._first_turn = quaternions_from_matrices(first)
-        self._last_turn = quaternions_from_matrices(last)
+        self._first_rotation = quaternions_from_matrices(first)
+        self._last_rotation = quaternions_from_matrices(last)
 
     def poses(self, fraction: float) -> tuple[Array, Array]:
-        """Where bones are after a fraction of the step.
+        """Poses of the bones after a fraction of the step.
 
         Returns:
             Poses, shape [B, 4, 4], and their rotations from rest as quaternions, shape [B, 4].
         """
-        turn = slerp(self._first_turn, self._last_turn, fraction)
+        rotation = slerp(self._first_rotation, self._last_rotation, fraction)
         stretch = self._first_stretch + (self._last_stretch - self._first_stretch) * fraction
         poses = np.zeros_like(self.end)
-        poses[:, :3, :3] = matrices_from_quaternions(turn) @ stretch
+        poses[:, :3, :3] = matrices_from_quaternions(rotation) @ stretch
         poses[:, :3, 3] = self.start[:, :3, 3] + fraction * (
             self.end[:, :3, 3] - self.start[:, :3, 3]
         )
         poses[:, 3, 3] = 1.0
-        return poses, product(turn, conjugate(self._rest_turn))
+        return poses, product(rotation, conjugate(self._rest_rotation))
 
-    def turns(self, poses: Array) -> Array:
-        """Current world from world at rest, for each bone, shape [B, 4, 4]."""
+    def skinning_matrices(self, poses: Array) -> Array:
+        """Each bone's map from rest to current world positions, shape [B, 4, 4]."""
         return poses @ self._rest_inverse
 
 
@@ -97,8 +97,8 @@ def posed_skin(rig: HandRig, bones: Array) -> Array:
     path = BonePath(rig.bone_rest)
     path.start = bones.copy()
     path.aim(bones)
-    turns = path.turns(path.poses(1.0)[0])
-    carried = np.einsum("nk,nkij->nij", rig.node_weights, turns[rig.node_bones])
+    skinning = path.skinning_matrices(path.poses(1.0)[0])
+    carried = np.einsum("nk,nkij->nij", rig.node_weights, skinning[rig.node_bones])
     nodes = np.einsum("nij,nj->ni", carried[:, :3, :3], rig.nodes) + carried[:, :3, 3]
     corners = nodes[rig.tetrahedra[rig.vertex_tetrahedron]]
     return np.einsum("vk,vki->vi", rig.vertex_weights, corners)

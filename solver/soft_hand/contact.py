@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From contacts on the skin of a soft hand to its ghosts and the nodes of its flesh, and back.
+"""Transfers forces of contacts on the skin of a soft hand to its ghosts and the flesh's nodes.
 
-A particle presses with its whole face: its force is shared among the ghosts around the point of
-contact, the nearest getting most, and by each ghost among the four nodes of the tetrahedron that
-carries it (Barreiro, Torres and Otaduy, WHC 2021, section III-D). Nothing is lost: forces on ghosts
-and on nodes add up to the reaction to those on the particles.
+A particle presses with its whole face: its force is distributed to the ghosts around the point of
+contact, most to the nearest, and from each ghost to the four nodes of its tetrahedron (Barreiro,
+Torres and Otaduy, WHC 2021, section III-D). Forces on ghosts and on nodes both sum to the reaction
+to the forces on the particles.
 """
 
 import numpy as np
@@ -19,8 +19,8 @@ wp.set_module_options(OPTIONS)
 
 GHOST_REACH = 0.6
 """Radius around a contact in which ghosts feel it, in spacings: that of a particle's face."""
-_CHUNK = 256
-"""Number of faces that are compared with ghosts at a time, to bound memory."""
+_CHUNK_SIZE = 256
+"""Number of faces compared with ghosts at once, to limit memory."""
 
 
 @wp.struct
@@ -28,13 +28,14 @@ class HandSkin:
     """The skin of a hand, and the ghosts on it."""
 
     collider: int
-    """Its index among all colliders."""
+    """Index of the hand among all colliders."""
     face: wp.array[wp.vec3i]
     rest: wp.array[wp.vec3]
     """Vertices at rest [m]."""
     tetrahedron: wp.array[wp.vec4i]
     """Nodes that carry each vertex."""
     weight: wp.array[wp.vec4]
+    """Barycentric coordinates of each vertex."""
     group: wp.array[int]
     """Bone that each face belongs to."""
     ghost_begin: wp.array[int]
@@ -42,12 +43,13 @@ class HandSkin:
     ghost: wp.array[int]
     """Ghosts around faces, face by face."""
     ghost_rest: wp.array[wp.vec3]
-    """[m]"""
+    """Ghosts at rest [m]."""
     ghost_reach: float
     """Radius around a contact in which ghosts feel it [m]."""
     ghost_tetrahedron: wp.array[wp.vec4i]
     """Nodes that carry each ghost."""
     ghost_weight: wp.array[wp.vec4]
+    """Barycentric coordinates of each ghost."""
 
 
 @wp.struct
@@ -73,7 +75,7 @@ def carry_skin(
     motion: wp.array[wp.vec3],
     travel: wp.array[float],
 ) -> None:
-    """Let nodes carry the skin, and record the farthest motion."""
+    """Move the skin with the nodes, and record the largest motion."""
     i = wp.tid()
     corner = skin.tetrahedron[i]
     weight = skin.weight[i]
@@ -87,8 +89,8 @@ def carry_skin(
 
 
 @wp.func
-def place_on_skin(skin: HandSkin, face: int, place: wp.vec2) -> wp.vec3:
-    """A point on the skin at rest."""
+def point_on_skin(skin: HandSkin, face: int, place: wp.vec2) -> wp.vec3:
+    """The point with barycentric coordinates ``place`` on a face of the skin at rest [m]."""
     corner = skin.face[face]
     last = 1.0 - place[0] - place[1]
     return (
@@ -100,24 +102,24 @@ def place_on_skin(skin: HandSkin, face: int, place: wp.vec2) -> wp.vec3:
 
 @wp.func
 def ghost_share(skin: HandSkin, x: wp.vec3, ghost: int) -> float:
-    """A ghost's share of a contact, not normalized."""
+    """A ghost's share of a contact at x [m], not normalized."""
     return wp.max(1.0 - wp.length(skin.ghost_rest[ghost] - x) / skin.ghost_reach, 0.0)
 
 
 @wp.func
-def whole_share(skin: HandSkin, face: int, x: wp.vec3) -> float:
+def total_share(skin: HandSkin, face: int, x: wp.vec3) -> float:
     """Sum of the shares of the ghosts around a face: 0 if none is within reach."""
-    whole = float(0.0)
+    total = float(0.0)
     for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-        whole += ghost_share(skin, x, skin.ghost[at])
-    return whole
+        total += ghost_share(skin, x, skin.ghost[at])
+    return total
 
 
 @wp.func
-def part_felt(skin: HandSkin, face: int, at: int, x: wp.vec3, whole: float) -> float:
-    """A ghost's part of a contact; if no ghost is within reach, the first takes all."""
-    if whole > 0.0:
-        return ghost_share(skin, x, skin.ghost[at]) / whole
+def contact_share(skin: HandSkin, face: int, at: int, x: wp.vec3, total: float) -> float:
+    """A ghost's normalized share of a contact; if no ghost is within reach, the first gets all."""
+    if total > 0.0:
+        return ghost_share(skin, x, skin.ghost[at]) / total
     return wp.where(at == skin.ghost_begin[face], 1.0, 0.0)
 
 
@@ -149,13 +151,13 @@ def gather_forces(
             if wp.length_sq(force) > 0.0:
                 wp.atomic_add(forces.touched, 0, 1)
                 face = slots.face[i, k]
-                x = place_on_skin(skin, face, slots.place[i, k])
-                whole = whole_share(skin, face, x)
+                x = point_on_skin(skin, face, slots.place[i, k])
+                total = total_share(skin, face, x)
                 for at in range(skin.ghost_begin[face], skin.ghost_begin[face + 1]):
-                    felt = part_felt(skin, face, at, x, whole)
-                    if felt > 0.0:
+                    share = contact_share(skin, face, at, x, total)
+                    if share > 0.0:
                         ghost = skin.ghost[at]
-                        part = force * felt
+                        part = force * share
                         push = wp.vec3d(part * (time_step * reported))
                         wp.atomic_add(forces.impulse, ghost, push)
                         corner = skin.ghost_tetrahedron[ghost]
@@ -165,7 +167,14 @@ def gather_forces(
 
 
 def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) -> HandSkin:
-    """The skin of a rig, for clay of a particle spacing [m]."""
+    """Create the skin of a rig.
+
+    Args:
+        rig: The hand.
+        collider: Index of the hand among all colliders.
+        spacing: Particle spacing of the clay [m].
+        device: Warp device.
+    """
     surface = np.flatnonzero(rig.ghost_areas > 0.0)
     reach = max(GHOST_REACH * spacing, 1.01 * rig.ghost_spacing)
     begin, ghosts = _ghosts_by_face(rig, surface, reach)
@@ -181,8 +190,7 @@ def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) ->
     skin.weight = put(rig.vertex_weights, wp.vec4)
     skin.group = put(_bone_of_faces(rig), int)
     skin.ghost_begin, skin.ghost = put(begin, int), put(ghosts, int)
-    place = rig.carried_ghosts(rig.nodes)[surface]
-    skin.ghost_rest = put(place, wp.vec3)
+    skin.ghost_rest = put(rig.carried_ghosts(rig.nodes)[surface], wp.vec3)
     skin.ghost_reach = reach
     skin.ghost_tetrahedron = put(rig.tetrahedra[rig.ghost_tetrahedron[surface]], wp.vec4i)
     skin.ghost_weight = put(rig.ghost_weights[surface], wp.vec4)
@@ -190,7 +198,7 @@ def make_skin(rig: HandRig, collider: int, spacing: float, device: wp.Device) ->
 
 
 def _bone_of_faces(rig: HandRig) -> NDArray[np.int32]:
-    """The bone that carries most of each face, shape [F]."""
+    """The bone with the largest weight for each face, shape [F]."""
     shares = np.zeros((len(rig.nodes), len(rig.bone_names)))
     np.add.at(shares, (np.arange(len(rig.nodes))[:, None], rig.node_bones), rig.node_weights)
     corners = rig.tetrahedra[rig.vertex_tetrahedron]
@@ -204,38 +212,38 @@ def _ghosts_by_face(
     """Surface ghosts around each face, on its own side of the hand.
 
     Returns:
-        Index of the first ghost of each face, shape [F + 1], and the ghosts, by their index among
-        those on the surface.
+        Index of the first ghost of each face, shape [F + 1], and the ghosts as indices into
+        ``surface``.
     """
-    place, normals = rig.carried_ghosts(rig.nodes)[surface], rig.ghost_normals[surface]
+    positions, normals = rig.carried_ghosts(rig.nodes)[surface], rig.ghost_normals[surface]
     corners = rig.vertices[rig.faces]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     low, high = corners.min(1) - reach, corners.max(1) + reach
-    # Sorted along the hand: only few ghosts then lie beside a face.
-    along = int(np.ptp(place, axis=0).argmax())
-    order = np.argsort(place[:, along], kind="stable")
-    sorted_place = place[order, along]
-    begins = np.searchsorted(sorted_place, low[:, along], side="right")
-    counts = np.maximum(np.searchsorted(sorted_place, high[:, along], side="left") - begins, 0)
+    # Sorting along the hand leaves only a few candidates for each face.
+    along = int(np.ptp(positions, axis=0).argmax())
+    order = np.argsort(positions[:, along], kind="stable")
+    ordered = positions[order, along]
+    begins = np.searchsorted(ordered, low[:, along], side="right")
+    counts = np.maximum(np.searchsorted(ordered, high[:, along], side="left") - begins, 0)
     found = []
-    for first in range(0, len(corners), _CHUNK):
-        many = counts[first : first + _CHUNK]
-        face = np.repeat(np.arange(first, first + len(many)), many)
-        rank = np.arange(len(face)) - np.repeat(np.cumsum(many) - many, many)
+    for first in range(0, len(corners), _CHUNK_SIZE):
+        count = counts[first : first + _CHUNK_SIZE]
+        face = np.repeat(np.arange(first, first + len(count)), count)
+        rank = np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
         ghost = order[begins[face] + rank]
         for axis in {0, 1, 2} - {along}:
-            at = place[ghost, axis]
-            kept = (at > low[face, axis]) & (at < high[face, axis])
+            coordinate = positions[ghost, axis]
+            kept = (coordinate > low[face, axis]) & (coordinate < high[face, axis])
             face, ghost = face[kept], ghost[kept]
         kept = (normals[ghost] * outward[face]).sum(1) > 0.0
         face, ghost = face[kept], ghost[kept]
-        kept = _distance_to_triangles(place[ghost], corners[face]) < reach
+        kept = _distance_to_triangles(positions[ghost], corners[face]) < reach
         found.append(np.column_stack([face[kept], ghost[kept]]))
     pairs = np.concatenate(found)
     # Faces without a ghost within reach get the nearest one.
     for face in np.setdiff1d(np.arange(len(corners)), pairs[:, 0]):
-        every = np.broadcast_to(corners[face], (len(place), 3, 3))
-        nearest = _distance_to_triangles(place, every).argmin()
+        repeated = np.broadcast_to(corners[face], (len(positions), 3, 3))
+        nearest = _distance_to_triangles(positions, repeated).argmin()
         pairs = np.concatenate([pairs, [[face, nearest]]])
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
     begin = np.searchsorted(pairs[:, 0], np.arange(len(corners) + 1))
@@ -245,7 +253,7 @@ def _ghosts_by_face(
 def _distance_to_triangles(
     points: NDArray[np.float64], corners: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance of each point from its own triangle [m]; corners have shape [P, 3, 3]."""
+    """Distance of each point, shape [P, 3], from its own triangle, shape [P, 3, 3] [m]."""
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normal, axis=1)
     nearest = np.full(len(points), np.inf)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The elasticity of flesh: stress, internal forces and tangent of tetrahedra on bones.
 
-Each tetrahedron is elastic about its own rotation (Müller and Gross, *Interactive Virtual
-Materials*, Graphics Interface 2004, doi 10.5555/1006058.1006087), which Müller et al., *A Robust
-Method to Extract the Rotational Part of Deformations*, Motion in Games 2016,
-doi 10.1145/2994258.2994269, find even where a tetrahedron is flat or turned inside out.
+Elasticity is corotational (Müller and Gross, *Interactive Virtual Materials*, Graphics Interface
+2004, doi 10.5555/1006058.1006087). Rotations are extracted as in Müller et al., *A Robust Method to
+Extract the Rotational Part of Deformations*, Motion in Games 2016, doi 10.1145/2994258.2994269,
+which also works for flat and inverted tetrahedra.
 """
 
 import warp as wp
@@ -14,12 +14,12 @@ from ..core.vector_units import OPTIONS
 wp.set_module_options(OPTIONS)
 
 ROTATION_STEPS = 8
-"""Largest number of steps to find a tetrahedron's rotation, starting from its bones'."""
+"""Largest number of steps to find a tetrahedron's rotation, starting from that of its bones."""
 ROTATION_TOLERANCE = 1.0e-3
-"""Steps end when one turns by less than twice this [rad]; the next would turn by its square."""
+"""Iteration stops after a step of less than twice this angle [rad]; convergence is quadratic."""
 STIFFENING_STRAIN = 0.3
-"""Strain at which flesh is twice as stiff as at rest, as wavy fibers pull straight. A few newtons
-flatten a fingertip, which then hardly gives any more."""
+"""Strain at which flesh is twice as stiff as at rest, because wavy fibers straighten. A few newtons
+flatten a fingertip, which then hardly yields further."""
 
 
 @wp.struct
@@ -30,40 +30,42 @@ class FleshData:
     """First Lamé parameter and shear modulus [Pa]."""
     young_modulus: float
     """[Pa]"""
-    longest_step: float
+    max_step: float
     """Largest motion of a node in a solve [m]."""
     tetrahedron: wp.array[wp.vec4i]
+    """Nodes of each tetrahedron."""
     gradient: wp.array2d[wp.vec3]
-    """Gradients of shape functions at rest [1/m]; by tetrahedron and corner."""
+    """Gradients of shape functions at rest [1/m], by tetrahedron and corner."""
     volume: wp.array[float]
-    """Of each tetrahedron inside the skin [m³]."""
+    """Volume of each tetrahedron inside the skin [m³]."""
     rest: wp.array[wp.vec3]
     """Nodes at rest [m]."""
     bone: wp.array[wp.vec4i]
     """Bones that carry each node."""
     weight: wp.array[wp.vec4]
-    bedding: wp.array[float]
-    """Stiffness with which bone holds nodes [N/m], by block."""
-    turn: wp.array[wp.mat44]
-    """Current world from world at rest, by bone."""
+    """Weights of these bones."""
+    foundation: wp.array[float]
+    """Stiffness of the elastic foundation between bones and nodes [N/m], by block."""
+    skinning: wp.array[wp.mat44]
+    """Each bone's map from rest to current world positions."""
     bone_frame: wp.array[wp.quat]
     """Rotation of each bone from rest."""
     position: wp.array[wp.vec3]
     """Nodes [m]."""
     carried: wp.array[wp.vec3]
-    """Position of each node if bones alone carried it [m]."""
+    """Position of each node by skinning alone [m]."""
     frame: wp.array[wp.quat]
     """Rotation of each node with its bones."""
     inner: wp.array[wp.vec3]
     """Force of flesh and bone on each node [N]."""
     turned_gradient: wp.array2d[wp.vec3]
-    """Gradients turned by each tetrahedron's rotation [1/m]."""
+    """Gradients rotated with each tetrahedron [1/m]."""
     traction: wp.array2d[wp.vec3]
-    """Stress before stiffening on each corner's turned gradient [Pa/m]."""
+    """Stress before stiffening times each corner's rotated gradient [Pa/m]."""
     stiffening: wp.array[wp.vec2]
     """Factor by which strain stiffens each tetrahedron, and its derivative by energy [1/Pa]."""
     row: wp.array[int]
-    """Index of each node's first block, which is its own."""
+    """Index of each node's first block, which is its diagonal block."""
     column: wp.array[int]
     """Node of each block."""
     share: wp.array[int]
@@ -73,14 +75,14 @@ class FleshData:
     block: wp.array[wp.mat33]
     """Tangent stiffness [N/m]."""
     inverse: wp.array[wp.mat33]
-    """Inverse of each node's own block [m/N]."""
+    """Inverse of each node's diagonal block [m/N]."""
     touching: wp.array2d[wp.vec2i]
     """Tetrahedra around each node and its corner in them, padded with -1."""
 
 
 @wp.kernel(enable_backward=False)
 def carry_nodes(flesh: FleshData) -> None:
-    """Let bones carry nodes; their deflection turns with the bones."""
+    """Move nodes with the bones; their deflection rotates with the bones."""
     i = wp.tid()
     bone = flesh.bone[i]
     weight = flesh.weight[i]
@@ -89,7 +91,7 @@ def carry_nodes(flesh: FleshData) -> None:
     blend = wp.quat(0.0, 0.0, 0.0, 0.0)
     for k in range(4):
         if weight[k] > 0.0:
-            carried += wp.transform_point(flesh.turn[bone[k]], x) * weight[k]
+            carried += wp.transform_point(flesh.skinning[bone[k]], x) * weight[k]
             q = flesh.bone_frame[bone[k]]
             side = wp.where(wp.dot(q, blend) < 0.0, -1.0, 1.0)
             blend = blend + q * (side * weight[k])
@@ -103,7 +105,7 @@ def carry_nodes(flesh: FleshData) -> None:
 
 @wp.func
 def rotation_of(deformation: wp.mat33, start: wp.quat) -> wp.mat33:
-    """Rotation of a deformation, starting from a guess."""
+    """Rotation of a deformation gradient, by iteration from a starting guess."""
     q = start
     r = wp.quat_to_matrix(q)
     step = int(0)
@@ -142,7 +144,7 @@ def measure_stress(flesh: FleshData) -> None:
     strain = (stretch + wp.transpose(stretch)) * 0.5 - wp.identity(n=3, dtype=float)
     lame = flesh.lame
     stress = strain * (2.0 * lame[1]) + wp.identity(n=3, dtype=float) * (lame[0] * wp.trace(strain))
-    # Twice the energy over Young's modulus: the squared strain if the stress is uniaxial.
+    # Twice the energy density over Young's modulus: the squared strain under uniaxial stress.
     square = wp.ddot(stress, strain) / flesh.young_modulus
     grown = square / (STIFFENING_STRAIN * STIFFENING_STRAIN)
     flesh.stiffening[t] = wp.vec2(
@@ -161,7 +163,7 @@ def sum_inner_forces(flesh: FleshData) -> None:
     force = wp.vec3()
     for at in range(flesh.row[i], flesh.row[i + 1]):
         j = flesh.column[at]
-        force += (flesh.carried[j] - flesh.position[j]) * flesh.bedding[at]
+        force += (flesh.carried[j] - flesh.position[j]) * flesh.foundation[at]
     for k in range(flesh.touching.shape[1]):
         corner = flesh.touching[i, k]
         if corner[0] >= 0:
@@ -192,9 +194,9 @@ def assemble_tangent(flesh: FleshData) -> None:
             block += wp.outer(
                 flesh.traction[part[0], part[1]], flesh.traction[part[0], part[2]]
             ) * (flesh.volume[part[0]] * stiffening[1])
-        # Rigid translation strains nothing: the rows of the stiffness add up to zero.
+        # Rigid translation causes no strain, so the rows of the stiffness sum to zero.
         own -= block
-        flesh.block[at] = block + wp.identity(n=3, dtype=float) * flesh.bedding[at]
-    own += wp.identity(n=3, dtype=float) * flesh.bedding[begin]
+        flesh.block[at] = block + wp.identity(n=3, dtype=float) * flesh.foundation[at]
+    own += wp.identity(n=3, dtype=float) * flesh.foundation[begin]
     flesh.block[begin] = own
     flesh.inverse[i] = wp.inverse(own)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a hand's bones yield to the clay: springs between the tracked and the simulated pose.
+"""Springs between the tracked and the simulated pose, through which bones yield to the clay.
 
-The person who moves the hand holds each joint with a certain stiffness. The clay's forces on the
-flesh turn joints, and move the roots of the skeleton, away from the pose that was set, as in
-*Natural Interaction with Virtual Clay* (Barreiro, Torres and Otaduy, WHC 2021, sections III-D and
-IV-A), where the forces on the tetrahedra are fed back to the hand.
+The user holds each joint with a certain stiffness. The clay's forces on the flesh rotate joints,
+and move the roots of the skeleton, away from the target pose, as in *Natural Tactile Interaction
+with Virtual Clay* (Barreiro, Torres and Otaduy, WHC 2021, sections III-D and IV-A), where the
+forces on the tetrahedra are fed back to the hand.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ..hand.rig import HandRig
 Array = NDArray[np.float64]
 
 HOLD_TIME = 0.05
-"""Delay with which joints follow the force on them [s]: limbs have mass, and muscles damp."""
+"""Time constant with which joints follow forces [s]: limbs have mass, and muscles damp."""
 
 
 def held_part(time_step: float) -> float:
-    """Share of the deflection in equilibrium that joints reach in a time [s]."""
+    """Fraction of the change to equilibrium that joints complete in a time step [s]."""
     return time_step / (time_step + HOLD_TIME)
 
 
 NEGLIGIBLE = 1.0e-6
-"""Unloaded joints count as back at their pose when they are this close to it [rad, m]."""
+"""Unloaded joints are reset to their pose when they are this close to it [rad, m]."""
 MIN_SHARE = 0.5
-"""Smallest weight of a bone and its descendants at a node for the node to count as the bone's."""
+"""A node belongs to a bone if the total weight of the bone and its descendants exceeds this."""
 
 
 class Hold:
     """The springs of one hand's joints.
 
-    They are chosen so that a force across a straight finger moves the fingertip by the force over
-    ``stiffness``: every joint of the longest chain, and the root, contributes an equal share.
+    They are chosen so that a force perpendicular to a straight finger moves its tip by the force
+    over ``stiffness``: each joint of the longest chain, and the root, contributes an equal share.
 
     Args:
         rig: The hand.
-        stiffness: Of a fingertip [N/m].
+        stiffness: Stiffness of a fingertip [N/m].
     """
 
     def __init__(self, rig: HandRig, stiffness: float) -> None:
@@ -62,29 +62,31 @@ class Hold:
         away = np.linalg.norm(rig.nodes[:, None] - rig.bone_rest[None, :, :3, 3], axis=2)
         lever = np.where(carried > MIN_SHARE, away, 0.0).max(0)
         share = 1.0 / (stiffness * (len(self._levels) + 1))
-        self._turning = np.divide(share, lever**2, out=np.zeros(count), where=lever > 0.0)[:, None]
+        self._turn_compliance = np.divide(share, lever**2, out=np.zeros(count), where=lever > 0.0)[
+            :, None
+        ]
         """Rotation of each joint per torque [rad/(N m)]."""
-        self._shifting = np.where(self._roots, share, 0.0)[:, None]
+        self._shift_compliance = np.where(self._roots, share, 0.0)[:, None]
         """Displacement of each root per force [m/N]."""
-        self.lone = share
+        self.compliance = share
         """Displacement of a root per force [m/N]."""
         self.turn = np.zeros((count, 3))
-        """Rotation vector by which each joint has yielded [rad], shape [B, 3]."""
+        """Deflection of each joint as a rotation vector [rad], shape [B, 3]."""
         self.shift = np.zeros((count, 3))
-        """Displacement by which each root has yielded [m], shape [B, 3]."""
+        """Deflection of each root [m], shape [B, 3]."""
         self._heads = rig.bone_rest[:, :3, 3].copy()
         self.change = np.tile(np.eye(4), (count, 1, 1))
-        """World transform by which each bone had yielded when last applied, shape [B, 4, 4]."""
+        """World transform of each bone by the deflections last applied, shape [B, 4, 4]."""
 
     def applied(self, poses: Array, frames: Array) -> tuple[Array, Array]:
-        """Apply the yielding to the poses that were set.
+        """Apply the deflections to target poses.
 
         Args:
-            poses: World from each bone's own coordinates, shape [B, 4, 4].
+            poses: Matrix of each bone, bone to world, shape [B, 4, 4].
             frames: Their rotations from rest as quaternions, shape [B, 4].
 
         Returns:
-            Both with the yielding applied.
+            Poses and rotations after deflection, with the same shapes.
         """
         if not (self.turn.any() or self.shift.any()):
             self._heads = poses[:, :3, 3].copy()
@@ -104,26 +106,26 @@ class Hold:
             )
             change[bones, 3, 3] = 1.0
         self.change = change
-        yielded = change @ poses
-        self._heads = yielded[:, :3, 3]
-        return yielded, product(quaternions_from_matrices(change[:, :3, :3]), frames)
+        deflected = change @ poses
+        self._heads = deflected[:, :3, 3]
+        return deflected, product(quaternions_from_matrices(change[:, :3, :3]), frames)
 
-    def _asked(self, nodes: Array, load: Array) -> tuple[Array, Array]:
+    def _equilibrium(self, nodes: Array, load: Array) -> tuple[Array, Array]:
         """Rotations of joints and displacements of roots in equilibrium with a load on nodes."""
         force = self._carried.T @ load
         torque = self._carried.T @ np.cross(nodes, load) - np.cross(self._heads, force)
-        return torque * self._turning, force * self._shifting
+        return torque * self._turn_compliance, force * self._shift_compliance
 
     def follow(self, nodes: Array, load: Array, time_step: float) -> None:
-        """Yield to a load for some time.
+        """Update the deflections under a load for one time step.
 
         Args:
             nodes: Positions of the nodes [m], shape [N, 3].
-            load: Force on each [N], shape [N, 3].
-            time_step: [s]
+            load: Force on each node [N], shape [N, 3].
+            time_step: Length of the time step [s].
         """
         part = held_part(time_step)
-        turn, shift = self._asked(nodes, load)
+        turn, shift = self._equilibrium(nodes, load)
         self.turn += part * (turn - self.turn)
         self.shift += part * (shift - self.shift)
         if not load.any() and max(np.abs(self.turn).max(), np.abs(self.shift).max()) < NEGLIGIBLE:
@@ -131,23 +133,23 @@ class Hold:
 
     def response(self, nodes: Array, load: Array) -> Array:
         """Displacement of the nodes in equilibrium with a small load [m], shape [N, 3]."""
-        turn, shift = self._asked(nodes, load)
-        # Each joint turns everything beyond it about its own position.
+        turn, shift = self._equilibrium(nodes, load)
+        # Each joint rotates everything beyond it about its own position.
         about = self._carried @ turn
         offset = self._carried @ (shift - np.cross(turn, self._heads))
         return np.cross(about, nodes) + offset
 
     def snapshot(self) -> dict[str, NDArray]:
-        """The state of the springs."""
+        """The deflections."""
         return {name: getattr(self, name).copy() for name in ("turn", "shift", "change")}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore the state returned by `snapshot`."""
         for name in ("turn", "shift", "change"):
             setattr(self, name, state[name].copy())
 
     def reset(self) -> None:
-        """Return to the pose that was set."""
+        """Set all deflections to zero."""
         self.turn[:] = 0.0
         self.shift[:] = 0.0
 
@@ -155,7 +157,7 @@ class Hold:
 def _levels(parent: NDArray[np.int32]) -> list[NDArray[np.int64]]:
     """Bones by their depth in the skeleton, roots first."""
     depth = np.zeros(len(parent), int)
-    for bone, above in enumerate(parent):
-        if above >= 0:
-            depth[bone] = depth[above] + 1
+    for bone, ancestor in enumerate(parent):
+        if ancestor >= 0:
+            depth[bone] = depth[ancestor] + 1
     return [np.flatnonzero(depth == level) for level in range(depth.max(initial=0) + 1)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sparsity pattern of a mesh of tetrahedra: which nodes act on each other."""
+"""Sparsity pattern of the stiffness matrix of a tetrahedral mesh."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 def block_pattern(
     tetrahedra: NDArray[np.int32], node_count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-    """Which nodes share tetrahedra, by rows.
+    """Blocks of the stiffness matrix, one for each pair of nodes that share a tetrahedron, by rows.
 
     Returns:
-        Index of each row's first block, shape [N + 1]; the column of each block, a node's own
+        Index of each row's first block, shape [N + 1]; the column of each block, diagonal blocks
         first; index of each block's first part; and the tetrahedron and two corners of each part.
     """
     count = len(tetrahedra)
@@ -26,11 +26,11 @@ def block_pattern(
     key = np.concatenate([rows.astype(np.int64) * (node_count + 1) + columns + 1])
     order = np.argsort(key, kind="stable")
     keys, sizes = np.unique(key, return_counts=True)
-    # A node's own block comes first; it follows from the others, so it has no parts.
+    # The diagonal block comes first; it is computed from the others, so it has no parts.
     keys = np.concatenate([own.astype(np.int64) * (node_count + 1), keys])
     sizes = np.concatenate([np.zeros(node_count, int), sizes])
-    place = np.argsort(keys, kind="stable")
-    keys, sizes = keys[place], sizes[place]
+    by_key = np.argsort(keys, kind="stable")
+    keys, sizes = keys[by_key], sizes[by_key]
     block_row = keys // (node_count + 1)
     column = keys % (node_count + 1) - 1
     column = np.where(column < 0, block_row, column)
@@ -52,7 +52,7 @@ def sum_by_block(
     share: NDArray[np.int32],
     part: NDArray[np.int32],
 ) -> NDArray[np.float64]:
-    """Sum matrices of tetrahedra, shape [T, 4, 4], into the blocks of `block_pattern`."""
+    """Sum matrices of tetrahedra, shape [T, 4, 4], to one value for each block of the pattern."""
     values = np.zeros(len(column))
     at = np.repeat(np.arange(len(column)), np.diff(share))
     np.add.at(values, at, matrices[part[:, 0], part[:, 1], part[:, 2]])

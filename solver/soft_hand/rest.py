@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The flesh of a bound hand at rest: how much of each tetrahedron is inside the skin, and bone.
+"""The flesh of a bound hand at rest: the shares of skin interior and bone in each tetrahedron.
 
-Tetrahedra of a lattice stick out of the skin, and bones run through them. Both are integrated
-over sample points, so that stiffness does not depend on the position or resolution of the lattice:
-what is outside the skin has no stiffness (the finite cell method: Parvizian, Düster and Rank,
-Computational Mechanics 41, 2007, doi 10.1007/s00466-007-0173-y), and what is inside a bone is tied
-to where the bone carries it by an elastic bedding.
+Tetrahedra of a lattice protrude from the skin, and bones run through them. Both are integrated over
+sample points, so that stiffness hardly depends on the position or resolution of the lattice. The
+volume outside the skin has no stiffness (the finite cell method: Parvizian, Düster and Rank,
+Computational Mechanics 41, 2007, doi 10.1007/s00466-007-0173-y), and the volume inside a bone is
+tied to its skinned position by an elastic foundation.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from numpy.typing import NDArray
 from ..hand.rig import HandRig
 
 SAMPLE_ORDER = 3
-"""Number of steps along each edge of the lattice of sample points in a tetrahedron."""
+"""Number of intervals along each edge of the lattice of sample points in a tetrahedron."""
 BONE_SHARE = 0.5
-"""How far bone reaches from its axis towards the skin, as a share."""
-BEDDING_LENGTH = 1.0e-3
-"""Thickness of the elastic bedding at a bone [m]: its stiffness is the modulus over the squared
+"""Radius of a bone, relative to the distance from its axis to the skin."""
+FOUNDATION_LENGTH = 1.0e-3
+"""Thickness of the elastic foundation on a bone [m]; its stiffness is the modulus over the squared
 thickness."""
-BEDDING_CELLS = 0.133
+FOUNDATION_CELLS = 0.133
 """The same in cells of the lattice, if that is larger. A tetrahedron that reaches from bone to skin
-strains uniformly: held firmly at one end, it could not give at the other. With this, the compliance
+strains uniformly: if one end were fixed, the other could not yield. With this value, the compliance
 of a fingertip varies by about a tenth between one and four cells across it."""
 MIN_SHARE = 0.1
-"""Smallest share of a tetrahedron that counts as inside, so that its nodes are carried along."""
+"""Smallest share of a tetrahedron's volume that is counted, so that all nodes are attached."""
 LEAF_REACH = 1.6
-"""Length of a bone without children, over the distance from its head to the center of the nodes it
-carries."""
+"""Length of a bone without children, relative to the distance from its head to the center of the
+nodes it carries."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +46,16 @@ class FleshRest:
     """Volume of each tetrahedron inside the skin [m³], shape [T]."""
     bone_shares: NDArray[np.float64]
     """Integrals of products of two shape functions over the bone in each tetrahedron [m³],
-    shape [T, 4, 4]; they add up to the volume of the bones."""
-    bedding_length: float
-    """Thickness of the elastic bedding at a bone [m]."""
+    shape [T, 4, 4]; they sum to the volume of the bones."""
+    foundation_length: float
+    """Thickness of the elastic foundation on a bone [m]."""
 
 
 def bone_axes(rig: HandRig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Start and end of the bones' axes.
+    """Start and end points of the bones' axes.
 
-    A bone runs from its head to the head of each of its children. One without children runs
-    through the center of the nodes that it carries.
+    Axes run from a bone's head to the heads of its children. The axis of a bone without children
+    runs through the center of the nodes that it carries.
 
     Returns:
         Starts and ends [m], shape [A, 3] each.
@@ -76,8 +76,8 @@ def bone_axes(rig: HandRig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array(starts).reshape(-1, 3), np.array(ends).reshape(-1, 3)
 
 
-def rest_of(rig: HandRig) -> FleshRest:
-    """Measure the flesh of a rig in its rest pose."""
+def flesh_rest(rig: HandRig) -> FleshRest:
+    """Compute the flesh of a rig in its rest pose."""
     corners = rig.nodes[rig.tetrahedra]
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
     inverse = np.linalg.inv(edges)
@@ -96,8 +96,8 @@ def rest_of(rig: HandRig) -> FleshRest:
     share = np.maximum(inside.mean(1), MIN_SHARE)
     # Twelve tetrahedra of a body-centered cubic lattice fill a cell.
     cell = float(np.cbrt(12.0 * volumes.mean()))
-    bedding_length = max(BEDDING_LENGTH, BEDDING_CELLS * cell)
-    return FleshRest(gradients, volumes * share, bone_shares, bedding_length)
+    foundation_length = max(FOUNDATION_LENGTH, FOUNDATION_CELLS * cell)
+    return FleshRest(gradients, volumes * share, bone_shares, foundation_length)
 
 
 def _sample_weights() -> NDArray[np.float64]:
@@ -112,7 +112,7 @@ def _sample_weights() -> NDArray[np.float64]:
 def measure_depth(
     mesh: wp.uint64, reach: float, points: wp.array[wp.vec3], depth: wp.array[float]
 ) -> None:
-    """Measure the depth of points under the skin; negative outside."""
+    """Compute the depth of points under the skin, negative outside."""
     i = wp.tid()
     query = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach)
     depth[i] = -reach
@@ -123,7 +123,7 @@ def measure_depth(
 
 def _depth(rig: HandRig, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Depth of points under the skin [m], negative outside, shape [P]."""
-    # Centered, where float32 resolves best.
+    # Centered, where float32 has the highest resolution.
     middle = rig.vertices.mean(0)
     skin = wp.Mesh(
         points=wp.array(rig.vertices - middle, dtype=wp.vec3, device="cpu"),
@@ -132,8 +132,8 @@ def _depth(rig: HandRig, points: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     reach = float(np.linalg.norm(np.ptp(np.concatenate([rig.vertices, rig.nodes]), axis=0)))
     depth = wp.zeros(len(points), dtype=float, device="cpu")
-    places = wp.array(points - middle, dtype=wp.vec3, device="cpu")
-    inputs = [skin.id, reach, places, depth]
+    centered = wp.array(points - middle, dtype=wp.vec3, device="cpu")
+    inputs = [skin.id, reach, centered, depth]
     wp.launch(measure_depth, dim=len(points), inputs=inputs, device="cpu")
     return depth.numpy().astype(float)
 
@@ -141,7 +141,7 @@ def _depth(rig: HandRig, points: NDArray[np.float64]) -> NDArray[np.float64]:
 def _distance_to_axes(
     points: NDArray[np.float64], starts: NDArray[np.float64], ends: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Distance of points to the nearest bone's axis [m], shape [P]."""
+    """Distance of points to the nearest bone axis [m], shape [P]."""
     nearest = np.full(len(points), np.inf)
     for start, end in zip(starts, ends, strict=True):
         axis = end - start

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A soft hand through a step: bones lead, flesh follows and yields, clay pushes back."""
+"""Advances a soft hand through a step: bones, flesh, skin, and contact forces of the clay."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from .compliance import SkinCompliance
 from .contact import HandForces, carry_skin, gather_forces, make_skin
 from .flesh import Flesh, yielded_part
 from .hold import Hold
-from .rest import rest_of
+from .rest import flesh_rest
 
 ITERATIONS = 6
 """Conjugate-gradient iterations in a substep."""
 FRESH_EVERY = 4
-"""Substeps after which stress and tangent are computed again; in between, forces are linear."""
+"""Substeps after which stress and tangent are recomputed; in between, forces are linearized."""
 ARRIVAL_TIME = 0.2
-"""Time in which a hand that jumped or was lost takes hold of the clay [s]."""
+"""Time in which the grip of a hand that jumped or was lost grows to its full strength [s]."""
 MAX_ARRIVAL_TIME = 1.0
-"""Time after which it counts as arrived, even with clay still inside it [s]."""
+"""Time after which a hand counts as arrived, even with clay still inside it [s]."""
 ARRIVED_DEPTH = 0.1
-"""A hand has arrived when no particle lies deeper inside it than this, in spacings."""
+"""A hand has arrived when no particle is deeper inside it than this, in spacings."""
 UNLIMITED_SPEED = 1.0e6
-"""A speed that nothing reaches [m/s]."""
+"""A speed that is never reached [m/s]."""
 SETTLING_TIME = 1.0
-"""Time after which the flesh of a still hand away from clay counts as settled [s]."""
+"""Time after which the flesh of a resting hand away from clay counts as settled [s]."""
 
 
 class SoftHand:
@@ -39,8 +39,8 @@ class SoftHand:
 
     Args:
         hand: The hand.
-        collider: Its index among all colliders.
-        row: Its index among the meshes.
+        collider: Index of the hand among all colliders.
+        row: Index of its skin among the meshes.
         first_face: Index of its first face in ``compliance``.
         compliance: Compliance of each face of all soft hands [m/N].
         travel: Largest motion of each mesh in a substep [m].
@@ -70,7 +70,7 @@ class SoftHand:
         self.hold = None if hand.hold_stiffness is None else Hold(rig, hand.hold_stiffness)
         self.flesh = Flesh(
             rig,
-            rest_of(rig),
+            flesh_rest(rig),
             young_modulus=hand.young_modulus,
             poisson_ratio=hand.poisson_ratio,
             iterations=ITERATIONS,
@@ -95,28 +95,30 @@ class SoftHand:
             particles,
             bones=len(rig.bone_names),
             faces=compliance[first_face : first_face + len(rig.faces)],
-            lone=1.0 / (hand.young_modulus * particles.spacing),
-            lone_joint=self.hold.lone if self.hold else 0.0,
+            single=1.0 / (hand.young_modulus * particles.spacing),
+            single_joint=self.hold.compliance if self.hold else 0.0,
         )
         self._boxes = _boxes_of_bones(hand)
         self._recordings = Recordings(particles, by_part=False)
         self._arrival = ARRIVAL_TIME
-        """Time since the hand jumped or appeared [s]; initially it holds firmly at once."""
+        """Time since the hand jumped or appeared [s]; initially its grip is already full."""
         self._arrived = False
         self._still = 0.0
         """How long the hand has been at rest, away from clay [s]."""
+        self._away = True
+        """Whether the hand cannot touch clay in this step."""
         self.present = hand.tracked
         self._place()
 
     def begin_here(self) -> None:
-        """Take the bones' present poses for where the hand has been all along."""
+        """Start from the bones' current poses, without moving there."""
         self.present = self.hand.tracked
         if self.present and not np.array_equal(self.path.start, self.hand.bones):
             self.path.start = self.hand.bones.copy()
             self._place()
 
     def _place(self) -> None:
-        """Put the hand at the start of its path at once."""
+        """Move the hand to the start of its path at once."""
         self.path.aim(self.path.start)
         self._move(1.0, 1.0)
         self._mesh.velocities.zero_()
@@ -124,14 +126,15 @@ class SoftHand:
 
     @property
     def mesh_id(self) -> int:
-        """Warp's identifier of the skin's mesh."""
+        """Warp's id of the skin's mesh."""
         return int(self._mesh.id)
 
     def plan(self) -> tuple[float, NDArray[np.float64]]:
-        """How far bones will move any point in this step, and where.
+        """Predict the hand's motion in this step.
 
         Returns:
-            A distance [m], and the box that the hand sweeps, shape [2, 3].
+            An upper bound on the motion of any point [m], and the corners of the box that the hand
+            sweeps [m], shape [2, 3].
         """
         target = self.hand.bones if self.hand.tracked else self.path.start
         before = self._carried_boxes(self.path.start)
@@ -139,33 +142,32 @@ class SoftHand:
         swept = np.concatenate([before, after])
         motion = float(np.sqrt(((after - before) ** 2).sum(1).max()))
         if self.hand.tracked != self.present:
-            # A hand that comes or goes where it is disturbs what touches it.
+            # A hand that appears or disappears in place must wake the clay that touches it.
             motion = max(motion, np.finfo(float).tiny)
         return motion, np.array([swept.min(0), swept.max(0)])
 
     def _carried_boxes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Corners of the boxes around what each bone carries [m]; their hull contains the flesh."""
+        """Corners of the boxes around each bone's nodes [m]; their hull contains the flesh."""
         if self.hold:
             poses = self.hold.change @ poses
-        turns = self.path.turns(poses)[self._boxes[0]]
-        return (
-            np.einsum("bij,bkj->bki", turns[:, :3, :3], self._boxes[1]) + turns[:, None, :3, 3]
-        ).reshape(-1, 3)
+        matrices = self.path.skinning_matrices(poses)[self._boxes[0]]
+        corners = np.einsum("bij,bkj->bki", matrices[:, :3, :3], self._boxes[1])
+        return (corners + matrices[:, None, :3, 3]).reshape(-1, 3)
 
     def begin_step(self, duration: float, *, jumps: bool, near: bool) -> None:
-        """Start towards the bones' next poses.
+        """Begin a step towards the bones' next poses.
 
         Args:
             duration: Length of the step [s].
-            jumps: Whether the hand is there at once instead of sweeping there.
-            near: Whether it may touch clay on the way.
+            jumps: Whether the hand jumps to the next poses instead of sweeping there.
+            near: Whether it may touch clay in this step.
         """
         returns = self.hand.tracked and not self.present
         self.present = self.hand.tracked
-        self._whole = not near
+        self._away = not near
         forces = self.forces
         forces.impulse.zero_()
-        if self._whole:
+        if self._away:
             forces.deepest.zero_()
             forces.load.zero_()
         if jumps or returns:
@@ -189,31 +191,31 @@ class SoftHand:
 
     @property
     def grasp(self) -> float:
-        """How firmly the hand holds the clay, 0 to 1; less than 1 only shortly after it arrived."""
+        """Strength of the hand's grip, 0 to 1; below 1 only shortly after it appeared or jumped."""
         return min(self._arrival / ARRIVAL_TIME, 1.0) if self.present else 0.0
 
     @property
     def recovery_speed(self) -> float:
-        """How fast clay inside it is moved out [m/s]; unlimited once the hand has arrived."""
+        """Largest speed at which clay inside it is moved out [m/s]; unlimited once it arrived."""
         return UNLIMITED_SPEED if self._arrived else DEPENETRATION_SPEED * self.grasp
 
     def begin_substep(self, substep: int, substeps: int, time_step: float) -> None:
-        """Move on to the end of a substep.
+        """Move the hand to the end of a substep.
 
         Args:
             substep: Index of the substep.
             substeps: Number of substeps.
             time_step: Length of a substep [s].
         """
-        if self._whole:
-            # Away from clay only the end of the path matters.
+        if self._away:
+            # Away from clay, only the end of the path matters.
             if substep == 0 and self._still < SETTLING_TIME:
                 self._move(1.0, yielded_part(substeps * time_step))
             elif substep < 2:
                 self._mesh.velocities.zero_()
                 self._travel[self.row : self.row + 1].zero_()
             return
-        # The tangent may be old: no substep goes the whole way.
+        # The tangent may be outdated, so no substep moves all the way to equilibrium.
         self._move(
             (substep + 1) / substeps, yielded_part(time_step), fresh=substep % FRESH_EVERY == 0
         )
@@ -227,7 +229,7 @@ class SoftHand:
         if self.hold:
             poses, frames = self.hold.applied(poses, frames)
         data = self.flesh.data
-        data.turn.assign(self.path.turns(poses).astype(np.float32))
+        data.skinning.assign(self.path.skinning_matrices(poses).astype(np.float32))
         data.bone_frame.assign(frames.astype(np.float32))
         self._recordings.run(("move", part, fresh), lambda: self._launch_move(part, fresh))
         self._mesh.refit()
@@ -252,8 +254,13 @@ class SoftHand:
         wp.launch(carry_skin, dim=len(mesh.points), inputs=inputs, device=self.device)
 
     def gather(self, slots: ContactSlots, time_step: float) -> None:
-        """Collect the forces of a substep of ``time_step`` [s]."""
-        if not self._whole:
+        """Collect the contact forces of a substep.
+
+        Args:
+            slots: The contacts.
+            time_step: Length of the substep [s].
+        """
+        if not self._away:
             reported = 1.0 if self._arrived else 0.0
             self._recordings.run(
                 ("gather", time_step, reported), lambda: self._gather(slots, time_step, reported)
@@ -262,7 +269,7 @@ class SoftHand:
             self.hold.follow(self._nodes(), self.forces.load.numpy().astype(float), time_step)
 
     def _nodes(self) -> NDArray[np.float64]:
-        """Nodes of the flesh [m], shape [N, 3]."""
+        """Positions of the flesh's nodes [m], shape [N, 3]."""
         return self.flesh.data.position.numpy().astype(float)
 
     def _gather(self, slots: ContactSlots, time_step: float, reported: float) -> None:
@@ -273,25 +280,25 @@ class SoftHand:
         inputs = [time_step, reported, particles.resting, slots, self.skin, forces]
         wp.launch(gather_forces, dim=particles.count, inputs=inputs, device=self.device)
 
-    def learn_compliance(self, slots: ContactSlots) -> None:
-        """Measure how much the hand gives under its current contacts."""
-        if not self._whole and self.forces.touched.numpy()[0]:
+    def measure_compliance(self, slots: ContactSlots) -> None:
+        """Measure the hand's compliance under its current contacts."""
+        if not self._away and self.forces.touched.numpy()[0]:
             force = self.forces.impulse.numpy().sum(0)
-            self.compliance.learn(slots, force, self._nodes(), self.hold)
+            self.compliance.measure(slots, force, self._nodes(), self.hold)
 
     def force(self, duration: float) -> NDArray[np.float64]:
-        """Force of the clay [N], shape [3], mean over a step of ``duration`` [s]."""
+        """Mean force of the clay over a step of ``duration`` [s] [N], shape [3]."""
         return self.forces.impulse.numpy().sum(0) / duration
 
     def contacts(self, duration: float) -> HandContacts:
-        """Forces on the ghosts, mean over a step of ``duration`` [s]."""
+        """Ghosts and the mean forces on them over a step of ``duration`` [s]."""
         rig, surface = self.hand.rig, self._surface
         nodes = self._nodes()
         corners = nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
         rest = rig.nodes[rig.tetrahedra[rig.ghost_tetrahedron[surface]]]
         deformed = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)
         undeformed = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
-        # Normals turn with the cofactors of the deformation.
+        # Normals transform with the cofactor matrix of the deformation gradient.
         gradient = deformed @ np.linalg.inv(undeformed)
         first, second, third = np.moveaxis(gradient, 2, 0)
         cofactors = np.stack(
@@ -322,7 +329,7 @@ class SoftHand:
         return {f"hand_{self.row}_{name}": value for name, value in state.items()}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore the state returned by `snapshot`."""
         own = {
             name.removeprefix(f"hand_{self.row}_"): value
             for name, value in state.items()
@@ -349,7 +356,7 @@ class SoftHand:
 
 
 def _boxes_of_bones(hand: Hand) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Bones that carry nodes, and the corners of the box around those at rest [m], [K, 8, 3]."""
+    """Bones that carry nodes, and the corners of the box around these at rest [m], [K, 8, 3]."""
     rig = hand.rig
     bones, corners = [], []
     for bone in range(len(rig.bone_names)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conjugate gradients for the equilibrium of flesh, preconditioned by the nodes' own blocks."""
+"""Conjugate gradients for the equilibrium of flesh, with a block-Jacobi preconditioner."""
 
 import warp as wp
 
@@ -11,19 +11,22 @@ wp.set_module_options(OPTIONS)
 
 @wp.struct
 class FleshSolve:
-    """What the passes of conjugate gradients share."""
+    """Vectors and scalars of conjugate gradients."""
 
     residual: wp.array[wp.vec3]
     """Unbalanced force [N]."""
     z: wp.array[wp.vec3]
+    """Preconditioned residual [m]."""
     direction: wp.array[wp.vec3]
+    """Search direction [m]."""
     product: wp.array[wp.vec3]
+    """Tangent times search direction [N]."""
     change: wp.array[wp.vec3]
     """Displacement of nodes by the solve [m]."""
     size: wp.array[wp.float64]
-    """Preconditioned square of the residual, by iteration [N m]."""
+    """Product of residual and preconditioned residual, by iteration [N m]."""
     curvature: wp.array[wp.float64]
-    """Energy of the direction, by iteration [N m]."""
+    """Product of search direction and tangent times search direction, by iteration [N m]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -53,7 +56,7 @@ def start_solve(flesh: FleshData, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def multiply(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
-    """Multiply the tangent with the direction."""
+    """Multiply the tangent by the search direction."""
     i = wp.tid()
     product = wp.vec3()
     for at in range(flesh.row[i], flesh.row[i + 1]):
@@ -64,7 +67,7 @@ def multiply(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def advance_solve(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
-    """Go along the direction to the minimum."""
+    """Step along the search direction to the minimum."""
     i = wp.tid()
     step = float(0.0)
     if solve.curvature[iteration] > wp.float64(0.0):
@@ -79,7 +82,7 @@ def advance_solve(iteration: int, flesh: FleshData, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def turn_direction(iteration: int, solve: FleshSolve) -> None:
-    """Compute the next direction."""
+    """Compute the next search direction."""
     i = wp.tid()
     keep = float(0.0)
     if solve.size[iteration] > wp.float64(0.0):
@@ -89,16 +92,16 @@ def turn_direction(iteration: int, solve: FleshSolve) -> None:
 
 @wp.kernel(enable_backward=False)
 def move_nodes(part: float, load: wp.array[wp.vec3], flesh: FleshData, solve: FleshSolve) -> None:
-    """Move nodes by a part of the solution; nodes that are not finite return to their bones.
+    """Move nodes by a part of the solution; nodes that are not finite are reset to their bones.
 
-    Steps are limited: the tangent is no guide to a load that comes too suddenly. The internal
-    forces change by as much as the solve reduced the residual.
+    Steps are limited, because the tangent is inaccurate for large sudden loads. The internal forces
+    change by as much as the solve reduced the residual.
     """
     i = wp.tid()
     inner = flesh.inner[i]
     inner -= (load[i] + inner - solve.residual[i]) * part
     flesh.inner[i] = wp.where(wp.isfinite(inner), inner, wp.vec3())
     change = solve.change[i] * part
-    change = change * wp.min(1.0, flesh.longest_step / wp.max(wp.length(change), 1.0e-12))
+    change = change * wp.min(1.0, flesh.max_step / wp.max(wp.length(change), 1.0e-12))
     moved = flesh.position[i] + change
     flesh.position[i] = wp.where(wp.isfinite(moved), moved, flesh.carried[i])

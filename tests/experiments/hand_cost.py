@@ -21,7 +21,7 @@ EDGES = (0.016, 0.0125, 0.0095, 0.0075)
 """Cells of the lattices that the table compares [m]."""
 LIVE_FRAME = 1e3 / 60
 """[ms]"""
-_PARTS = ("plan", "begin_step", "begin_substep", "gather", "learn_compliance", "end_step")
+_PARTS = ("plan", "begin_step", "begin_substep", "gather", "measure_compliance", "end_step")
 
 
 @dataclass(frozen=True)

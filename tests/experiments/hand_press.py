@@ -9,7 +9,7 @@ import warp as wp
 from tactile_clay.solver import Material, Scene, Settings, Solver
 from tactile_clay.solver.hand.rig import HandRig
 from tactile_clay.solver.soft_hand.flesh import Flesh
-from tactile_clay.solver.soft_hand.rest import rest_of
+from tactile_clay.solver.soft_hand.rest import flesh_rest
 
 from .hand_shapes import finger, posed
 from .shapes import at, block
@@ -45,7 +45,7 @@ def press_flat(
     rig = finger(edge)
     flesh = Flesh(
         rig,
-        rest_of(rig),
+        flesh_rest(rig),
         young_modulus=young_modulus,
         poisson_ratio=0.45,
         iterations=iterations,

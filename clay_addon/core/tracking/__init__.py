@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tracked hands: one datagram format, senders in processes of their own, and what follows a hand.
+"""Hand tracking: one datagram format, a separate sender process per tracker, and retargeting.
 
-A sender (`tactile-clay track SOURCE`) turns what its tracker says into datagrams to loopback. In
-Blender a receiver keeps the newest frame of each hand, a tracker of presence says whether the hand
-is live, held or lost, and retargeting lays its joints on the bones of an armature.
+A sender (`tactile-clay track SOURCE`) converts its tracker's data to datagrams and sends them to
+loopback. In Blender a receiver collects the new frames of each hand, `Presence` decides whether
+the hand is live, held or lost, and retargeting poses the bones of an armature.
 
-Only ``armature``, ``keyframes``, ``live``, ``operators``, ``panel`` and ``properties`` know
-Blender; the senders run without it.
+Nothing here imports Blender; the Blender side is in ``clay_addon/tracking``.
 """
 
 from ....solver.core.errors import TactileClayError
@@ -15,4 +14,4 @@ __all__ = ["TrackingError"]
 
 
 class TrackingError(TactileClayError):
-    """Tracking cannot go on; the message says why and what to do."""
+    """Tracking cannot continue; the message says why and what to do."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``tactile-clay track SOURCE``: a tracker's sender, as a process of its own."""
+"""``tactile-clay track SOURCE``: runs a tracker's sender as a separate process."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from .sources.sender import Sender, Sighting, replay, run
 _DESCRIPTION = """\
 Track hands and send them to Blender.
 
-Start Tracking in Blender's Clay tab, then run one of the sources below in a terminal. It goes on
-until Ctrl-C. Hands go to loopback only, 864 bytes each; what the bytes are is told in
-clay_addon/core/tracking/protocol/packet.py, so that other programs can send too.
+Start Tracking in Blender's Clay tab, then run one of the sources below in a terminal. It runs
+until Ctrl-C. Hands are sent to loopback only, 864 bytes each. The format is documented in
+clay_addon/core/tracking/protocol/packet.py, so that other programs can send hands too.
 """
 
 _OpenSource = Callable[[argparse.Namespace], Iterable[Sighting]]
@@ -32,8 +32,8 @@ def add_command(commands: Any, *, carry_out: Callable[[argparse.Namespace], obje
     """Add ``track`` to a parser's commands.
 
     Args:
-        commands: What the parser's `add_subparsers` gave.
-        carry_out: Set as the parsed arguments' ``carry_out``.
+        commands: The result of the parser's `add_subparsers`.
+        carry_out: Stored as ``carry_out`` in the parsed arguments.
     """
     command = commands.add_parser(
         "track",
@@ -52,13 +52,13 @@ def add_command(commands: Any, *, carry_out: Callable[[argparse.Namespace], obje
             "--port", type=_port, default=PORT, help=f"Blender's tracking port (default: {PORT})"
         )
         source.add_argument(
-            "--record", type=Path, metavar="FILE.jsonl", help="keep what is sent in a recording"
+            "--record", type=Path, metavar="FILE.jsonl", help="also record what is sent"
         )
         source.add_argument(
-            "--duration", type=_positive, metavar="SECONDS", help="stop after so long"
+            "--duration", type=_positive, metavar="SECONDS", help="stop after this time"
         )
         source.add_argument(
-            "--attached", action="store_true", help="stop when the standard input ends"
+            "--attached", action="store_true", help="stop when standard input is closed"
         )
         return source
 
@@ -68,43 +68,46 @@ def add_command(commands: Any, *, carry_out: Callable[[argparse.Namespace], obje
             type=_speed,
             default=1.0,
             metavar="FACTOR",
-            help="times as fast as it was recorded; 0 is as fast as it goes (default: 1)",
+            help="playback speed; 0 plays as fast as possible (default: 1)",
         )
-        source.add_argument("--loop", action="store_true", help="begin again at the end")
+        source.add_argument("--loop", action="store_true", help="play it repeatedly")
 
     recording = add("recording", "play a recording of hands", _recording)
     recording.add_argument("file", metavar="FILE.jsonl", type=Path)
     add_pace(recording)
-    leap = add("leap", "a Leap recording, or the Leap service's websocket", _leap)
+    leap = add("leap", "a LeapJS recording, or the Leap service's websocket", _leap)
     leap.add_argument(
         "file",
         metavar="FILE.json",
         type=Path,
         nargs="?",
-        help="a recording of LeapJS Playback, .json or .json.gz (default: the service)",
+        help="a LeapJS Playback recording, .json or .json.gz (default: the service)",
     )
-    leap.add_argument("--address", metavar="URL", help="the service's websocket")
+    leap.add_argument("--address", metavar="URL", help="address of the service's websocket")
     add_pace(leap)
-    mediapipe = add("mediapipe", "a webcam, a video or pictures, through MediaPipe", _mediapipe)
+    mediapipe = add("mediapipe", "a webcam, a video or images, through MediaPipe", _mediapipe)
     mediapipe.add_argument(
-        "inputs", nargs="*", metavar="FILE", help="a video or pictures (default: a camera)"
+        "inputs", nargs="*", metavar="FILE", help="a video or images (default: a camera)"
     )
-    mediapipe.add_argument("--camera", type=int, default=0, help="number of the camera")
+    mediapipe.add_argument("--camera", type=int, default=0, help="camera index (default: 0)")
     mediapipe.add_argument(
-        "--setup", action="store_true", help="make MediaPipe's environment, once (650 MB)"
+        "--setup", action="store_true", help="install MediaPipe in its own environment (650 MB)"
     )
     mediapipe.add_argument(
-        "--environment", type=Path, metavar="DIR", help="where that is (default: the user's data)"
+        "--environment",
+        type=Path,
+        metavar="DIR",
+        help="folder of that environment (default: in the user's application data)",
     )
     mediapipe.add_argument(
         "--field-of-view",
         type=_angle,
         default=65.0,
         metavar="DEGREES",
-        help="of the camera, across the picture (default: 65)",
+        help="horizontal field of view of the camera (default: 65)",
     )
     mediapipe.add_argument(
-        "--mirrored", action="store_true", help="the camera's pictures are mirrored"
+        "--mirrored", action="store_true", help="the camera's images are mirrored"
     )
     hts = add("hts", "Hand Tracking Streamer on a Meta Quest, over UDP", _hts)
     hts.add_argument(
@@ -112,33 +115,33 @@ def add_command(commands: Any, *, carry_out: Callable[[argparse.Namespace], obje
         type=_listen,
         default=("0.0.0.0", 9000),
         metavar="[HOST:]PORT",
-        help="where the app sends to (default: every address of this machine, port 9000)",
+        help="address the app sends to (default: every address of this machine, port 9000)",
     )
     add("openxr", "the machine's OpenXR runtime, through pyopenxr", _openxr)
     leapc = add("leapc", "an Ultraleap device, through the LeapC library", _leapc)
-    leapc.add_argument("--library", metavar="PATH", help="LeapC, where it is not found")
+    leapc.add_argument("--library", metavar="PATH", help="the LeapC library, if it is not found")
 
 
 def track(arguments: argparse.Namespace) -> str:
-    """Carry out the command.
+    """Run the command.
 
     Returns:
-        What to say at its end.
+        The message to print at the end.
 
     Raises:
-        TrackingError: It cannot be carried out; the message says why and what to do.
+        TrackingError: The command failed; the message says why and what to do.
     """
     if arguments.setup:
         from .sources.mediapipe_setup import default_environment, set_up
 
-        set_up(arguments.environment or default_environment(), tell=_tell)
+        set_up(arguments.environment or default_environment(), report=_report)
         return ""
     source = arguments.open_source(arguments)
     if arguments.attached:
         threading.Thread(target=_wait_for_end, args=(sys.stdin,), daemon=True).start()
     recorder = Recorder(arguments.record) if arguments.record else None
     sender = Sender(arguments.port)
-    _tell(f"Sending hands to port {arguments.port} of this machine; Ctrl-C ends it.")
+    _report(f"Sending hands to port {arguments.port} of this machine. Press Ctrl-C to stop.")
     try:
         with contextlib.suppress(KeyboardInterrupt):
             run(source, sender, recorder=recorder, duration=arguments.duration)
@@ -152,14 +155,14 @@ def track(arguments: argparse.Namespace) -> str:
 
 
 def _wait_for_end(stream: TextIO) -> None:
-    """Interrupt the program when a stream ends: its writer is gone, or wants no more."""
+    """Interrupt the program when a stream ends: the parent process has exited or closed it."""
     with contextlib.suppress(OSError, ValueError):
         while stream.read(1):
             pass
     _thread.interrupt_main()
 
 
-def _tell(text: str) -> None:
+def _report(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
@@ -206,14 +209,14 @@ def _leapc(arguments: argparse.Namespace) -> Iterable[Sighting]:
     return leapc(arguments.library)
 
 
-# Their options ----------------------------------------------------------------------------------
+# Option types -----------------------------------------------------------------------------------
 
 
 def _port(text: str) -> int:
     with contextlib.suppress(ValueError):
         if 0 < int(text) < 65536:
             return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a port: a number from 1 to 65535")
+    raise argparse.ArgumentTypeError(f"{text!r} is not a port number from 1 to 65535")
 
 
 def _number(text: str) -> float:
@@ -229,7 +232,7 @@ def _number(text: str) -> float:
 def _positive(text: str) -> float:
     number = _number(text)
     if number <= 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not more than 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not greater than 0")
     return number
 
 

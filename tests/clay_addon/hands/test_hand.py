@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay hands in Blender: binding any rigged mesh, keeping it, telling when it is stale."""
+"""Clay hands in Blender: binding rigged meshes, storing them, and detecting changes."""
 
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from tactile_clay.solver.hand.rig import HandRig
 from tactile_clay.solver.hand.shape import POSES, hand_shape
 
 COARSE = 0.02
-"""Spacing of clay for which few ghosts are needed [m]."""
+"""Spacing of clay that needs few ghosts [m]."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def hand_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def hand(studio: Any, hand_file: Path) -> Any:
-    """The default right hand, bound, without animation; from a file, to bind it only once."""
+    """The bound default right hand, without animation; from a file, to bind it only once."""
     if not hand_file.exists():
         studio.scene.tactile_clay.spacing = COARSE
         assert bpy.ops.clay.hand_add(side="RIGHT") == {"FINISHED"}
@@ -52,7 +52,7 @@ def matrices(item: Any) -> dict[str, np.ndarray]:
 
 
 def world_vertices(item: Any) -> np.ndarray:
-    """What Blender shows of a hand's skin [Blender units], shape [V, 3]."""
+    """Vertices of a hand's skin as evaluated by Blender [Blender units], shape [V, 3]."""
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
     points = np.array([vertex.co for vertex in mesh.vertices])
@@ -71,7 +71,7 @@ def bend(item: Any, angle: float = 0.9) -> None:
 
 
 def test_added_hand_has_the_bones_of_openxr(studio: Any, hand: Any) -> None:
-    """Rest each bone where the default hand has it, to a hundredth of a millimeter."""
+    """Give each bone the rest matrix of the default hand, to a hundredth of a millimeter."""
     expected = default_hand()
     rig = hand.parent.data
     assert [bone.name for bone in rig.bones] == list(expected.bone_names)
@@ -82,8 +82,8 @@ def test_added_hand_has_the_bones_of_openxr(studio: Any, hand: Any) -> None:
         assert parent == (expected.bone_names[index] if index >= 0 else None)
 
 
-def test_bound_hand_is_read_as_it_rests(studio: Any, hand: Any) -> None:
-    """Give bone matrices that equal the rest matrices at rest, and a rig that fits the skin."""
+def test_bound_hand_is_read_in_the_rest_pose(studio: Any, hand: Any) -> None:
+    """Read bone matrices equal to the rest matrices, and a rig that fits the skin."""
     rig = read(hand)
     assert rig.side == "right"
     now = matrices(hand)
@@ -94,8 +94,8 @@ def test_bound_hand_is_read_as_it_rests(studio: Any, hand: Any) -> None:
     assert hand_message(studio.scene, hand) == ""
 
 
-def test_solver_follows_what_blender_shows(studio: Any, hand: Any) -> None:
-    """Pose bones in Blender, and find the tetrahedra's skin where Blender's own skin is."""
+def test_skin_of_the_solver_follows_blenders(studio: Any, hand: Any) -> None:
+    """Pose bones in Blender, and find the skin embedded in tetrahedra close to Blender's skin."""
     rig = read(hand)
     bend(hand)
     hand.parent.matrix_world = Matrix.Translation((0.3, -0.2, 1.0)) @ Matrix.Rotation(
@@ -108,8 +108,8 @@ def test_solver_follows_what_blender_shows(studio: Any, hand: Any) -> None:
     assert errors.max() < 8e-3
 
 
-def test_poses_of_the_solver_pose_the_armature(studio: Any, hand: Any) -> None:
-    """Set a bone's matrix to a joint's pose, as a tracker does, and have the joint there."""
+def test_joint_poses_pose_the_armature(studio: Any, hand: Any) -> None:
+    """Set each bone's matrix to a joint's pose, as tracking does, and find the joint there."""
     shape = hand_shape(pose=POSES["pinch"])
     for bone in hand.parent.pose.bones:
         right, ahead, up = shape.axes[bone.name].T
@@ -124,7 +124,7 @@ def test_poses_of_the_solver_pose_the_armature(studio: Any, hand: Any) -> None:
 
 @pytest.mark.parametrize("scale", [0.01, 10.0])
 def test_unit_scale_gives_meters(studio: Any, scale: float) -> None:
-    """Hand the solver meters whatever a Blender unit is."""
+    """Give the solver meters for any length of a Blender unit."""
     studio.scene.unit_settings.scale_length = scale
     studio.scene.tactile_clay.spacing = COARSE / scale
     bpy.ops.clay.hand_add(side="LEFT", length=0.15)
@@ -139,8 +139,8 @@ def test_unit_scale_gives_meters(studio: Any, scale: float) -> None:
         np.testing.assert_allclose(matrices(item)[name], rest, atol=1e-6)
 
 
-def test_non_uniform_scale_is_in_the_hand(studio: Any, hand: Any) -> None:
-    """Bind the hand as large as it looks, and pose it as Blender does."""
+def test_non_uniform_scale_is_applied(studio: Any, hand: Any) -> None:
+    """Bind the hand in its visible size, and pose it as Blender does."""
     hand.parent.scale = (1.3, 0.8, 1.1)
     bpy.context.view_layer.update()
     with pytest.raises(HandError, match="its size has changed"):
@@ -155,18 +155,18 @@ def test_non_uniform_scale_is_in_the_hand(studio: Any, hand: Any) -> None:
 
 
 def test_posed_hand_is_bound_at_rest(studio: Any, hand: Any) -> None:
-    """Bind a hand that holds a pose as the one that does not, and keep its pose."""
+    """Bind a posed hand in its rest pose, and keep the pose."""
     before = read(hand)
     bend(hand)
     posed = world_vertices(hand)
     make_hand(bpy.context, hand)
     np.testing.assert_allclose(read(hand).vertices, before.vertices, atol=1e-7)
     np.testing.assert_array_equal(world_vertices(hand), posed)
-    # Armature, skin and the shape of its bones.
+    # Armature, skin and the bones' custom shape.
     assert len(bpy.data.objects) == 3
 
 
-def test_hand_stays_in_the_file(studio: Any, hand: Any, tmp_path: Path) -> None:
+def test_hand_is_saved_in_the_file(studio: Any, hand: Any, tmp_path: Path) -> None:
     """Read the same bits after saving and loading."""
     before = read(hand)
     path = studio.save(tmp_path)
@@ -178,8 +178,8 @@ def test_hand_stays_in_the_file(studio: Any, hand: Any, tmp_path: Path) -> None:
         np.testing.assert_array_equal(array, after.to_arrays()[name], err_msg=name)
 
 
-def test_duplicate_is_a_hand_of_its_own(studio: Any, hand: Any) -> None:
-    """Read a duplicate of mesh and armature that was moved aside."""
+def test_duplicate_is_an_independent_hand(studio: Any, hand: Any) -> None:
+    """Read a duplicate of mesh and armature that was moved."""
     studio.select(hand, hand.parent)
     bpy.ops.object.duplicate()
     (copy,) = (item for item in hand_objects(studio.scene) if item != hand)
@@ -230,10 +230,10 @@ def change_place_in_armature(item: Any) -> None:
         (change_modifier, "its mesh has changed"),
         (change_bone, "rest pose has changed"),
         (change_size, "its size has changed"),
-        (change_place_in_armature, "moved against its armature"),
+        (change_place_in_armature, "moved relative to its armature"),
     ],
 )
-def test_stale_hand_is_told(studio: Any, hand: Any, change: Any, words: str) -> None:
+def test_changed_hand_is_reported(studio: Any, hand: Any, change: Any, words: str) -> None:
     """Say what has changed since the hand was bound, until it is bound again."""
     change(hand)
     bpy.context.view_layer.update()
@@ -246,11 +246,11 @@ def test_stale_hand_is_told(studio: Any, hand: Any, change: Any, words: str) -> 
     assert hand_message(studio.scene, hand) == ""
 
 
-def test_other_clay_is_told(studio: Any, hand: Any) -> None:
-    """Say that ghosts do not suit clay of another spacing, which still can be simulated."""
+def test_clay_of_another_spacing_is_reported(studio: Any, hand: Any) -> None:
+    """Say that the ghosts do not fit clay of another spacing, but still read the hand."""
     clay = studio.clay()
     assert clay.tactile_clay.spacing != COARSE
-    assert "clay of another spacing" in hand_message(studio.scene, hand)
+    assert "clay with another particle spacing" in hand_message(studio.scene, hand)
     assert read(hand).ghost_spacing == pytest.approx(0.5 * COARSE)
     make_hand(bpy.context, hand)
     assert hand_message(studio.scene, hand) == ""
@@ -258,15 +258,15 @@ def test_other_clay_is_told(studio: Any, hand: Any) -> None:
 
 
 @pytest.mark.parametrize("stored", [b"", b"no archive", "text", 3])
-def test_damaged_hand_is_told(studio: Any, hand: Any, stored: Any) -> None:
-    """Say that what the file keeps is damaged, whatever is there."""
+def test_corrupt_hand_is_reported(studio: Any, hand: Any, stored: Any) -> None:
+    """Say that the stored binding is corrupt, whatever it contains."""
     hand.data[PROPERTY] = stored
-    with pytest.raises(HandError, match=r"damaged|not bound"):
+    with pytest.raises(HandError, match=r"corrupt|not bound"):
         read(hand)
 
 
-def test_lost_armature_is_told(studio: Any, hand: Any) -> None:
-    """Say that there is no armature any more."""
+def test_lost_armature_is_reported(studio: Any, hand: Any) -> None:
+    """Say that there is no longer an armature."""
     bpy.data.objects.remove(hand.parent)
     bpy.context.view_layer.update()
     with pytest.raises(HandError, match="not rigged"):
@@ -276,7 +276,7 @@ def test_lost_armature_is_told(studio: Any, hand: Any) -> None:
     assert "not rigged" in hand_message(studio.scene, hand)
 
 
-def test_bone_that_is_not_finite_is_told(studio: Any, hand: Any) -> None:
+def test_bone_that_is_not_finite_is_reported(studio: Any, hand: Any) -> None:
     """Name the bone and the frame."""
     hand.parent.pose.bones["ring_distal"].location.x = float("nan")
     bpy.context.view_layer.update()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The look of the default hand: nails on the backs of fingertips."""
+"""The default hand's material: nails on the backs of fingertips."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from tactile_clay.solver.hand.default_hand import default_hand
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_every_finger_has_a_nail_on_its_back(side: str) -> None:
-    """Lay five nails on the ends of fingers, facing where the bone's Y points."""
+    """Place five nails at the ends of fingers, facing along the bone's Y."""
     hand = default_hand(side)
     coordinates = nail_coordinates(hand)
     on_nail = (np.abs(coordinates[:, :2]) < 1.0).all(1) & (coordinates[:, 2] > 0.15)
@@ -35,7 +35,7 @@ def test_every_finger_has_a_nail_on_its_back(side: str) -> None:
 
 
 def test_hands_share_one_material(studio: Any) -> None:
-    """Keep the nails on the mesh, so that the material serves both hands."""
+    """Store the nails in the mesh, so that hands can share the material."""
     hand = default_hand()
     meshes = []
     for name in ("first", "second"):
@@ -45,5 +45,5 @@ def test_hands_share_one_material(studio: Any) -> None:
         meshes.append(mesh)
     assert meshes[0].materials[0] == meshes[1].materials[0]
     assert len(bpy.data.materials) == 1
-    kept = np.array([value.vector for value in meshes[1].attributes["nail"].data])
-    np.testing.assert_allclose(kept, nail_coordinates(hand), rtol=1e-6)
+    stored = np.array([value.vector for value in meshes[1].attributes["nail"].data])
+    np.testing.assert_allclose(stored, nail_coordinates(hand), rtol=1e-6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of clay hands: what they make, what they refuse, and that Undo takes them back."""
+"""Operators for clay hands: results, refusals and Undo."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +19,7 @@ from ..test_panel import Layout
 
 @pytest.fixture(autouse=True)
 def few_ghosts(studio: Any) -> None:
-    """Clay so coarse that binding is quick."""
+    """Use coarse clay, so that binding is fast."""
     studio.scene.tactile_clay.spacing = 0.02
 
 
@@ -35,7 +35,7 @@ def unbound_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def unbound(studio: Any, unbound_file: Path) -> Any:
-    """A rigged hand that is no clay hand, selected; from a file, to make it only once."""
+    """A selected rigged hand that is not a clay hand; from a file, to create it only once."""
     if not unbound_file.exists():
         item = added(studio, side="RIGHT")
         studio.select(item)
@@ -48,7 +48,7 @@ def unbound(studio: Any, unbound_file: Path) -> Any:
 
 
 def test_both_hands_are_added_thumb_to_thumb(studio: Any) -> None:
-    """Add a left and a right hand beside the cursor, with the armature of the last one active."""
+    """Add a left and a right hand on both sides of the cursor; the last armature is active."""
     studio.scene.cursor.location = (1.0, 2.0, 3.0)
     assert bpy.ops.clay.hand_add(side="BOTH", length=0.16) == {"FINISHED"}
     left, right = hand_objects(studio.scene)
@@ -63,7 +63,7 @@ def test_both_hands_are_added_thumb_to_thumb(studio: Any) -> None:
     assert bpy.context.object == right.parent
     bones = right.parent.pose.bones
     assert all(bone.custom_shape is not None for bone in bones)
-    # The shape of a bone ends where the next begins.
+    # The custom shape of a bone ends where the next bone begins.
     end = bones["index_proximal"].matrix @ Vector(
         (0.0, 0.0, -bones["index_proximal"].custom_shape_scale_xyz[2])
     )
@@ -71,7 +71,7 @@ def test_both_hands_are_added_thumb_to_thumb(studio: Any) -> None:
 
 
 def test_adding_is_undone(studio: Any) -> None:
-    """Take hand and armature away with one Undo."""
+    """Remove hand and armature with one Undo."""
     bpy.ops.ed.undo_push(message="empty")
     added(studio)
     bpy.ops.ed.undo_push(message="hand")
@@ -83,7 +83,7 @@ def test_adding_is_undone(studio: Any) -> None:
 
 
 def test_hand_is_made_from_mesh_or_armature(studio: Any, unbound: Any) -> None:
-    """Bind the selected mesh, or that of the selected armature; remove it again."""
+    """Bind the selected mesh, or the mesh of the selected armature; then remove the binding."""
     item = unbound
     assert not is_stored(item.data)
     for chosen in (item, item.parent):
@@ -95,8 +95,8 @@ def test_hand_is_made_from_mesh_or_armature(studio: Any, unbound: Any) -> None:
         assert hand_objects(studio.scene) == []
 
 
-def test_nothing_selected_is_said(studio: Any) -> None:
-    """Say that nothing is selected, or no hand."""
+def test_empty_selection_is_refused(studio: Any) -> None:
+    """Say that nothing, or no hand, is selected."""
     assert "Nothing is selected" in studio.refused(bpy.ops.clay.hand_make)
     studio.block()
     assert "No clay hand is selected" in studio.refused(bpy.ops.clay.hand_remove)
@@ -107,7 +107,7 @@ def test_mesh_without_armature_is_refused(studio: Any) -> None:
     studio.block()
     assert "'Cube' is not rigged" in studio.refused(bpy.ops.clay.hand_make)
     bpy.ops.object.empty_add()
-    assert "'Empty' is no mesh (empty)" in studio.refused(bpy.ops.clay.hand_make)
+    assert "'Empty' is not a mesh (empty)" in studio.refused(bpy.ops.clay.hand_make)
 
 
 def delete_faces(item: Any) -> None:
@@ -140,7 +140,7 @@ def drop_groups(item: Any) -> None:
     item.vertex_groups.clear()
 
 
-def spoil(item: Any) -> None:
+def make_infinite(item: Any) -> None:
     item.data.vertices[7].co.x = float("nan")
 
 
@@ -156,13 +156,13 @@ def second_armature(item: Any) -> None:
         (delete_faces, "open: it has 2 holes"),
         (flip_faces, "inside out"),
         (add_ring, "2 separate pieces"),
-        (unweight, "12 of 3828 vertices that no bone carries"),
-        (drop_groups, "no vertex group named like a bone"),
-        (spoil, "1 vertices that are not finite"),
-        (second_armature, "carried by 2 armatures"),
+        (unweight, "12 of 3828 vertices without bone weights"),
+        (drop_groups, "no vertex group named after a bone"),
+        (make_infinite, "1 vertices that are not finite"),
+        (second_armature, "has 2 armatures"),
     ],
 )
-def test_bad_hand_is_refused(studio: Any, unbound: Any, change: Any, words: str) -> None:
+def test_invalid_hand_is_refused(studio: Any, unbound: Any, change: Any, words: str) -> None:
     """Name the object and what is wrong with it, and change nothing."""
     item = unbound
     change(item)
@@ -173,8 +173,8 @@ def test_bad_hand_is_refused(studio: Any, unbound: Any, change: Any, words: str)
     assert item.tactile_clay.role == "NONE" and not is_stored(item.data)
 
 
-def test_good_hand_is_not_made_beside_a_bad_one(studio: Any, unbound: Any) -> None:
-    """Bind all that is selected, or nothing."""
+def test_selection_with_an_unrigged_mesh_is_refused(studio: Any, unbound: Any) -> None:
+    """Bind all selected meshes, or none."""
     block = studio.block()
     studio.select(unbound, block)
     assert "not rigged" in studio.refused(bpy.ops.clay.hand_make)
@@ -182,26 +182,26 @@ def test_good_hand_is_not_made_beside_a_bad_one(studio: Any, unbound: Any) -> No
 
 
 def test_hand_is_not_made_into_clay(studio: Any) -> None:
-    """Keep a hand from being hidden as the source of clay."""
+    """Refuse a hand as the source of clay, which would hide it."""
     item = added(studio, side="RIGHT")
     studio.select(item)
     assert "'Right hand' is a clay hand" in studio.refused(bpy.ops.clay.make)
 
 
 def test_edited_hand_is_refused(studio: Any, unbound: Any) -> None:
-    """Ask to leave Edit Mode."""
+    """Ask the user to leave Edit Mode."""
     bpy.ops.object.mode_set(mode="EDIT")
     assert "is being edited" in studio.refused(bpy.ops.clay.hand_make)
-    assert "Leave the present mode first" in studio.refused(bpy.ops.clay.hand_add)
+    assert "only be added in Object Mode" in studio.refused(bpy.ops.clay.hand_add)
     bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def test_linked_hand_is_refused(studio: Any, unbound: Any, unbound_file: Path) -> None:
-    """Keep nothing in a file that would not be saved."""
+    """Refuse a linked mesh, whose binding would not be saved."""
     bpy.ops.wm.read_homefile(use_empty=True)
-    with bpy.data.libraries.load(str(unbound_file), link=True) as (_, here):
-        here.objects = ["Right hand"]
-    (linked,) = here.objects
+    with bpy.data.libraries.load(str(unbound_file), link=True) as (_, loaded):
+        loaded.objects = ["Right hand"]
+    (linked,) = loaded.objects
     bpy.context.scene.collection.objects.link(linked)
     bpy.context.scene.collection.objects.link(linked.parent)
     bpy.context.view_layer.update()
@@ -209,8 +209,8 @@ def test_linked_hand_is_refused(studio: Any, unbound: Any, unbound_file: Path) -
     assert "linked from another file" in studio.refused(bpy.ops.clay.hand_make)
 
 
-def test_panel_names_hands_and_what_is_wrong(studio: Any) -> None:
-    """List the hands, with a sentence for one that has changed."""
+def test_panel_lists_hands_and_their_problems(studio: Any) -> None:
+    """List the hands, with a message for one that has changed."""
     item = added(studio)
 
     def drawn() -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The generic hands of WebXR, as Blender's glTF importer brings them: hands that are not ours.
+"""The generic hands of WebXR as foreign hands, imported by Blender's glTF importer.
 
 They come from the npm package @webxr-input-profiles/assets, which is fetched once into build/.
 """
@@ -31,7 +31,7 @@ def fetch() -> str:
     """Fetch both hands into the folder.
 
     Returns:
-        Why that could not be done; empty where they are there.
+        Why the hands are unavailable; empty if they are available.
     """
     if all((FOLDER / f"{side}.glb").exists() for side in ("left", "right")):
         return ""
@@ -67,7 +67,7 @@ def fetch() -> str:
 def folder() -> Path:
     reason = fetch()
     if reason:
-        pytest.skip(f"the generic hands are not here: {reason}")
+        pytest.skip(f"the generic hands are not available: {reason}")
     return FOLDER
 
 
@@ -81,39 +81,39 @@ def hand(request: pytest.FixtureRequest, studio: Any, folder: Path) -> Any:
 
 
 def curl(item: Any, angle: float) -> None:
-    """Bend all fingers: every joint turns all bones after it, which have no parents here."""
+    """Bend all fingers: each joint rotates all bones beyond it, which have no parents here."""
     armature = item.parent
     rest = {bone.name: np.array(bone.matrix_local) for bone in armature.data.bones}
     posed = {name: matrix.copy() for name, matrix in rest.items()}
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
     for finger in ("thumb", "index", "middle", "ring", "pinky"):
-        before = "wrist"
+        parent = "wrist"
         for segment in ("metacarpal", "proximal", "intermediate", "distal", "tip"):
             found = [name for name in rest if finger in name and segment in name]
             for name in found:
-                local = np.linalg.inv(rest[before]) @ rest[name]
+                local = np.linalg.inv(rest[parent]) @ rest[name]
                 bends = segment in ("proximal", "intermediate", "distal") and finger != "thumb"
-                posed[name] = posed[before] @ local @ (turn if bends else np.eye(4))
-                before = name
+                posed[name] = posed[parent] @ local @ (turn if bends else np.eye(4))
+                parent = name
     for bone in armature.pose.bones:
         bone.matrix = Matrix(posed[bone.name].tolist())
     bpy.context.view_layer.update()
 
 
 def shown_vertices(item: Any, rig: HandRig, rest: np.ndarray) -> np.ndarray:
-    """What Blender shows of the skin [m], for each vertex of the rig, shape [V, 3]."""
+    """Blender's position of each vertex of the rig's skin [m], shape [V, 3]."""
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     points = np.array([vertex.co for vertex in evaluated.data.vertices])
     matrix = np.array(evaluated.matrix_world)
     points = points @ matrix[:3, :3].T + matrix[:3, 3]
-    # Seams are welded in the rig: take any of the vertices that were there at rest.
-    which = [np.linalg.norm(rest - vertex, axis=1).argmin() for vertex in rig.vertices]
-    return points[which]
+    # Seams are welded in the rig, so any vertex with the same rest position will do.
+    nearest = [np.linalg.norm(rest - vertex, axis=1).argmin() for vertex in rig.vertices]
+    return points[nearest]
 
 
 def test_hand_is_bound_with_its_seams_welded(hand: Any) -> None:
-    """Find one closed skin of 1159 vertices, a skeleton and the side by names alone."""
+    """Find one closed skin of 1159 vertices, and the skeleton and the side by name."""
     rig = read_hand_rig(bpy.context, hand)
     assert rig.side == ("left" if hand.name.startswith("l_") else "right")
     assert len(rig.vertices) == 1159 and len(rig.faces) == 2314
@@ -128,8 +128,8 @@ def test_hand_is_bound_with_its_seams_welded(hand: Any) -> None:
     assert parents["thumb-metacarpal"] == "wrist" and parents["wrist"] is None
 
 
-def test_curled_hand_is_where_blender_shows_it(hand: Any) -> None:
-    """Carry the skin to within a millimeter of Blender's, over a whole curl of the fingers."""
+def test_curled_hand_matches_blenders(hand: Any) -> None:
+    """Keep the embedded skin within millimeters of Blender's while the fingers curl."""
     rig = read_hand_rig(bpy.context, hand)
     rest = np.array([vertex.co for vertex in hand.data.vertices])
     assert np.allclose(hand.matrix_world, np.eye(4))

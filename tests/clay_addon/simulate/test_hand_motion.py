@@ -178,7 +178,7 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     assert "hand      Right hand: right, " in status_text(table)
 
     hand.data.vertices[0].co.z += 0.01
-    with pytest.raises(BakeError, match=r"'Right hand' is not .* Press Make Clay Hand again"):
+    with pytest.raises(BakeError, match=r"'Right hand' no longer .* Press Make Clay Hand again"):
         bake(bpy.context, end=end)
     assert "mesh has changed" in scene_status(bpy.context)["hands"][0]["problem"]
 
@@ -269,8 +269,8 @@ def test_hand_is_known_wherever_roles_are(studio: Any, hand: Any) -> None:
     assert "Right hand" in drawn(CLAY_PT_hands)
     studio.scene.objects["Clay"].tactile_clay.spacing = 0.02
     warnings = bake(bpy.context, end=2).warnings
-    assert any("bound for clay of another spacing" in text for text in warnings)
+    assert any("bound for clay with another particle spacing" in text for text in warnings)
     studio.block(location=(0.5, 0.0, 0.0))
     bpy.context.object.tactile_clay.role = "HAND"
-    with pytest.raises(BakeError, match=r"'Cube\.001' is no clay hand\. Press Make Clay Hand"):
+    with pytest.raises(BakeError, match=r"'Cube\.001' is not a clay hand\. Press Make Clay Hand"):
         bake(bpy.context, end=2)

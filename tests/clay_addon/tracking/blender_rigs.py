@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Small armatures of hands for tests in Blender."""
+"""Hand armatures for tests in Blender."""
 
 from typing import Any
 
@@ -18,11 +18,11 @@ def add_hand(
 
     Args:
         side: Left or right.
-        kind: "openxr": bones with OpenXR's axes, each a child of what carries it; "parentless":
-            the same without parents, as the WebXR hands; "animation": bones along the fingers,
-            connected, with a forearm, as animators build them.
-        name: Of the object.
-        unit: Meters in a Blender unit.
+        kind: "openxr": bones with OpenXR's axes and parents; "parentless": the same without
+            parents, like the WebXR hands; "animation": connected bones along the fingers, and a
+            forearm, as in animation rigs.
+        name: Name of the object.
+        unit: Length of a Blender unit [m].
     """
     data = bpy.data.armatures.new(name)
     item = bpy.data.objects.new(name, data)
@@ -39,7 +39,8 @@ def add_hand(
         head = matrix[:3, 3] / unit
         bone = data.edit_bones.new(JOINT_NAMES[joint])
         bone.head = head
-        # Along the finger for animators; out of the back for OpenXR, whose -Z is along it.
+        # Bones point along the finger in animation rigs, and out of the back of the hand for
+        # OpenXR, whose -Z points along the finger.
         along = -matrix[:3, 2] if animation else matrix[:3, 1]
         following = [each for each, parent in enumerate(PARENTS) if parent == joint]
         length = 0.01 / unit
@@ -59,7 +60,7 @@ def add_hand(
 
 
 def head_positions(item: Any) -> dict[str, np.ndarray]:
-    """Where the heads of the bones are now, in the world [Blender units], shape [3] each."""
+    """World positions of the bones' heads, by bone name [Blender units], shape [3]."""
     bpy.context.view_layer.update()
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     world = Matrix(evaluated.matrix_world)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A recording as keyframes."""
+"""Importing recordings as keyframes."""
 
 import json
 import subprocess
@@ -31,7 +31,7 @@ from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_p
 
 
 def waving(seconds: float = 1.0, side: str = "right") -> list[Entry]:
-    """A hand that moves and turns, a hundred frames a second."""
+    """A hand that moves and rotates, with 100 frames/s."""
     entries = []
     for number in range(round(100 * seconds)):
         angle = 0.02 * number
@@ -44,8 +44,8 @@ def waving(seconds: float = 1.0, side: str = "right") -> list[Entry]:
 
 
 @pytest.mark.parametrize("kind", ["openxr", "parentless", "animation"])
-def test_keys_play_what_was_recorded(studio: Any, kind: str) -> None:
-    """Be on every frame where live tracking would have been at that time, contact and all."""
+def test_keyframes_play_what_was_recorded(studio: Any, kind: str) -> None:
+    """Give the same pose and contact on every frame as live tracking at that time."""
     item = add_hand(kind=kind)
     scene = studio.scene
     scene.render.fps = 30
@@ -83,8 +83,8 @@ os._exit(0)
 """
 
 
-def test_keys_play_where_the_addon_is_not(studio: Any, tmp_path: Path) -> None:
-    """Pose every bone alike in a process that never saw the add-on."""
+def test_keyframes_play_without_the_addon(studio: Any, tmp_path: Path) -> None:
+    """Give the same poses in a process without the add-on."""
     item = add_hand()
     import_recording(studio.scene, waving(), {"right": item}, start=1)
     path = studio.save(tmp_path)
@@ -99,7 +99,7 @@ def test_keys_play_where_the_addon_is_not(studio: Any, tmp_path: Path) -> None:
             assert np.allclose(heads[bone.name], bone.head, atol=1e-6)
 
 
-def test_lengths_stay_between_frames(studio: Any) -> None:
+def test_bone_lengths_are_constant_between_frames(studio: Any) -> None:
     """Keep the bones' lengths where Blender interpolates."""
     item = add_hand()
     import_recording(studio.scene, waving(), {"right": item}, start=1)
@@ -117,8 +117,8 @@ def test_lengths_stay_between_frames(studio: Any) -> None:
     assert np.ptp(seen, axis=0).max() < 1e-5
 
 
-def test_import_is_the_same_each_time(studio: Any) -> None:
-    """Give the same keys to the bit, and keep the action that was there before."""
+def test_import_is_reproducible(studio: Any) -> None:
+    """Give the same keyframes bit by bit, and keep the previous action."""
     item = add_hand()
 
     def values() -> list[float]:
@@ -135,8 +135,8 @@ def test_import_is_the_same_each_time(studio: Any) -> None:
     assert before.name == "Take right"
 
 
-def test_quaternions_never_go_the_long_way(studio: Any) -> None:
-    """Leave no flip of sign between keys while the hand turns round and round."""
+def test_quaternions_do_not_flip_sign(studio: Any) -> None:
+    """Have no change of sign between keyframes while the hand rotates several times."""
     item = add_hand()
     import_recording(studio.scene, waving(3.0), {"right": item}, start=1)
     strip = item.animation_data.action.layers[0].strips[0]
@@ -150,7 +150,7 @@ def test_quaternions_never_go_the_long_way(studio: Any) -> None:
 
 
 def test_operator_imports_a_file(studio: Any, tmp_path: Path) -> None:
-    """Read a file, key both hands from the first or the current frame, and undo nothing else."""
+    """Read a file, and animate both hands from the first or the current frame."""
     recorder = Recorder(tmp_path / "take.jsonl")
     for side in ("left", "right"):
         for entry in waving(0.5, side):
@@ -169,8 +169,8 @@ def test_operator_imports_a_file(studio: Any, tmp_path: Path) -> None:
     assert hands[0].animation_data.action.frame_range[0] == 50
 
 
-def test_real_recording_becomes_keys(studio: Any, leap_recording: Path) -> None:
-    """Import a Leap's own recording: finite, of constant lengths, where the person's hand was."""
+def test_real_recording_is_imported(studio: Any, leap_recording: Path) -> None:
+    """Import a LeapJS recording: finite, with constant bone lengths."""
     item = add_hand()
     entries = read_recording(leap_recording)
     done = import_recording(studio.scene, entries, {"right": item}, start=1)
@@ -190,11 +190,12 @@ def test_real_recording_becomes_keys(studio: Any, leap_recording: Path) -> None:
     assert np.ptp(seen, axis=0).max() < 1e-4
 
 
-def test_recording_without_its_armature_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Say which hand the recording is of, and refuse a file that is not there."""
-    with pytest.raises(TrackingError, match=r"of the left hand\. Choose an armature"):
+def test_recording_without_an_armature_is_refused(studio: Any, tmp_path: Path) -> None:
+    """Name the recorded hand, and refuse a file that does not exist."""
+    with pytest.raises(TrackingError, match=r"contains the left hand\. Choose an armature"):
         import_recording(studio.scene, waving(0.2, "left"), {"right": add_hand()}, start=1)
     missing = tmp_path / "nowhere.jsonl"
-    assert "There is no recording" in studio.refused(
-        bpy.ops.clay.tracking_import, filepath=str(missing)
-    )
+    assert "does not exist" in studio.refused(bpy.ops.clay.tracking_import, filepath=str(missing))
+    empty = [Entry(0, frame_at(0, active=False))]
+    with pytest.raises(TrackingError, match="no usable hand"):
+        import_recording(studio.scene, empty, {"right": add_hand()}, start=1)

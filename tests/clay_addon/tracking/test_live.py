@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Live tracking in Blender, with datagrams over loopback and a timer that tests turn."""
+"""Live tracking in Blender, with datagrams over loopback and a timer called by the tests."""
 
 import socket
 import time
@@ -24,7 +24,7 @@ from tactile_clay.tests.clay_addon.tracking.blender_rigs import add_hand, head_p
 
 
 class Stage:
-    """A scene with two hands that are tracked, and what sends to it."""
+    """A scene with armatures for two tracked hands, and a sender."""
 
     def __init__(self, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
         self.clock = clock
@@ -46,7 +46,7 @@ class Stage:
         self.session = live.tracking.session
 
     def show(self, milliseconds: float, *, at: Any = (0.1, 0.3, -0.2)) -> None:
-        """Show both hands for so long, and let the timer run at each frame."""
+        """Send both hands for some time, and run the timer at each frame."""
         for _ in range(round(milliseconds / 10)):
             self.number += 1
             now = self.clock.turn(10)
@@ -59,7 +59,7 @@ class Stage:
 
 @pytest.fixture
 def stage(studio: Any, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stage]:
-    """A scene ready to be tracked in."""
+    """A scene ready for tracking."""
     stage = Stage(clock, monkeypatch)
     yield stage
     live.tracking.stop()
@@ -67,7 +67,7 @@ def stage(studio: Any, clock: Clock, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 
 def test_both_hands_follow(stage: Stage) -> None:
-    """Put both armatures where the hands are, with their contact."""
+    """Pose both armatures like the hands, with their contact."""
     stage.start()
     stage.show(300)
     for side, sign in (("left", -1.0), ("right", 1.0)):
@@ -76,8 +76,8 @@ def test_both_hands_follow(stage: Stage) -> None:
         assert stage.hands[side][CONTACT_PROPERTY] == pytest.approx(1.0)
 
 
-def test_lost_hand_stays_and_touches_nothing(stage: Stage) -> None:
-    """Leave a hand where it was seen, and let go of the clay."""
+def test_lost_hand_keeps_its_pose_and_touches_nothing(stage: Stage) -> None:
+    """Keep the last pose of a lost hand, without contact."""
     stage.start()
     stage.show(300)
     before = head_positions(stage.hands["left"])
@@ -89,7 +89,7 @@ def test_lost_hand_stays_and_touches_nothing(stage: Stage) -> None:
 
 
 def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Move no hand while a bake runs, and go on after it."""
+    """Move no hand during a bake, and continue after it."""
     stage.start()
     stage.show(300)
     before = head_positions(stage.hands["left"])
@@ -102,13 +102,13 @@ def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.Monk
     assert stage.hands["left"][CONTACT_PROPERTY] > 0.0
     monkeypatch.undo()
     live._tick()
-    # The hand that was lost meanwhile lets go now.
+    # The hand was lost meanwhile, so it loses its contact now.
     assert stage.hands["left"][CONTACT_PROPERTY] == 0.0
     assert not np.array_equal(before["wrist"], head_positions(stage.hands["left"])["wrist"])
 
 
 def test_what_arrives_is_recorded(stage: Stage, tmp_path: Path) -> None:
-    """Record every frame that arrived while recording, into a new file each time."""
+    """Record every frame that arrives while recording, in a new file each time."""
     folder = tmp_path / "recordings"
     bpy.context.scene.tactile_clay_tracking.recording_folder = str(folder)
     stage.start()
@@ -120,12 +120,12 @@ def test_what_arrives_is_recorded(stage: Stage, tmp_path: Path) -> None:
         assert len(read_recording(folder / f"hands-00{number}.jsonl")) == 20
     assert bpy.ops.clay.tracking_record() == {"FINISHED"}
     stage.show(50)
-    # Stopping ends the recording as well.
+    # Stopping also completes the recording.
     assert bpy.ops.clay.tracking_stop() == {"FINISHED"}
     assert len(read_recording(folder / "hands-003.jsonl")) == 10
 
 
-def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:
+def test_animated_hand_follows_too(stage: Stage) -> None:
     """Follow the tracker with an armature that has an action, until the frame changes."""
     item = stage.hands["right"]
     item.pose.bones["wrist"].keyframe_insert("location", frame=1)
@@ -137,35 +137,35 @@ def test_hand_with_keys_follows_all_the_same(stage: Stage) -> None:
     assert item[CONTACT_PROPERTY] == pytest.approx(1.0)
 
 
-def test_recording_needs_a_place(stage: Stage) -> None:
-    """Say that a .blend never saved has no folder for recordings."""
+def test_recording_needs_a_folder(stage: Stage) -> None:
+    """Explain that an unsaved .blend file has no folder for recordings."""
     stage.start()
-    with pytest.raises(RuntimeError, match=r"Save the \.blend first"):
+    with pytest.raises(RuntimeError, match=r"Save the \.blend file first"):
         bpy.ops.clay.tracking_record()
 
 
 def test_start_without_a_hand_is_refused(studio: Any) -> None:
     """Say what to choose."""
-    assert "Choose the armature" in studio.refused(bpy.ops.clay.tracking_start)
+    assert "Choose an armature" in studio.refused(bpy.ops.clay.tracking_start)
     assert live.tracking.session is None
 
 
 def test_port_in_use_is_explained(stage: Stage) -> None:
-    """Say that another Blender tracks."""
+    """Say that another Blender may be tracking."""
     with socket.socket(type=socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", bpy.context.scene.tactile_clay_tracking.port))
-        with pytest.raises(RuntimeError, match="another Blender is tracking"):
+        with pytest.raises(RuntimeError, match="another Blender that is tracking"):
             bpy.ops.clay.tracking_start()
 
 
-def test_hands_of_the_scene_are_found_by_their_names(studio: Any) -> None:
-    """Follow with the hands that are there where none is chosen."""
+def test_hands_of_the_scene_are_found_by_name(studio: Any) -> None:
+    """Use the scene's hand armatures if none is chosen."""
     left, right = add_hand("left", name="Hand.L"), add_hand("right", name="Hand.R")
     assert live.hand_armatures(studio.scene) == {"left": left, "right": right}
 
 
-def test_starting_twice_and_stopping_twice_is_well(stage: Stage) -> None:
-    """Begin anew on the same port, and end once."""
+def test_starting_twice_and_stopping_twice_is_allowed(stage: Stage) -> None:
+    """Restart on the same port, and stop once."""
     stage.start()
     stage.start()
     assert bpy.app.timers.is_registered(live._tick)
@@ -176,8 +176,8 @@ def test_starting_twice_and_stopping_twice_is_well(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("how", ["load", "unregister", "scene"])
-def test_tracking_ends_with_what_it_is_about(stage: Stage, how: str) -> None:
-    """Let go of the port and the timer when the file, the add-on or the scene goes."""
+def test_tracking_ends_with_file_addon_or_scene(stage: Stage, how: str) -> None:
+    """Release the port and the timer when the file is closed or the add-on or scene is removed."""
     stage.start()
     stage.show(50)
     if how == "load":
@@ -195,7 +195,7 @@ def test_tracking_ends_with_what_it_is_about(stage: Stage, how: str) -> None:
 
 
 def test_deleted_armature_is_no_error(stage: Stage) -> None:
-    """Go on with one hand when the other's armature is deleted."""
+    """Continue with one hand when the other's armature is deleted."""
     stage.start()
     stage.show(100)
     bpy.data.objects.remove(stage.hands["left"])
@@ -204,10 +204,8 @@ def test_deleted_armature_is_no_error(stage: Stage) -> None:
     assert stage.hands["right"][CONTACT_PROPERTY] > 0.5
 
 
-def test_error_in_the_timer_lets_go_of_everything(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Stop tracking when something unforeseen happens, and let it be seen."""
+def test_error_in_the_timer_stops_tracking(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stop tracking after an unexpected error, and pass the error on."""
     stage.start()
     monkeypatch.setattr(stage.session.receiver, "drain", lambda: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -215,18 +213,18 @@ def test_error_in_the_timer_lets_go_of_everything(
     assert live.tracking.session is None
 
 
-def wait_until(true: Any) -> None:
-    """Let the timer run until something is so."""
+def wait_until(condition: Any) -> None:
+    """Run the timer until a condition holds."""
     for _ in range(3000):
         live._tick()
-        if true():
+        if condition():
             return
         time.sleep(0.01)
-    raise AssertionError("it never came to be so")
+    raise AssertionError("the condition never became true")
 
 
-def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path) -> None:
-    """Play a recording from a process of its own, which ends when tracking does."""
+def test_sender_is_started_and_stopped_with_tracking(stage: Stage, tmp_path: Path) -> None:
+    """Play a recording from a separate process, which exits when tracking stops."""
     recorder = Recorder(tmp_path / "take.jsonl")
     for number in range(20):
         at = (0.1 + 1e-4 * number, 0.2, 0.0)
@@ -242,27 +240,27 @@ def test_sender_is_started_and_ended_with_tracking(stage: Stage, tmp_path: Path)
     assert stage.session.sender.problem == ""
 
 
-def test_sender_that_fails_tells_why_in_the_panel(stage: Stage, tmp_path: Path) -> None:
-    """Show the last words of a sender that ended by itself."""
+def test_panel_shows_why_a_sender_failed(stage: Stage, tmp_path: Path) -> None:
+    """Show the error message of a sender that exited."""
     (tmp_path / "bad.jsonl").write_text("no recording")
     properties = bpy.context.scene.tactile_clay_tracking
     properties.source, properties.recording = "RECORDING", str(tmp_path / "bad.jsonl")
     stage.start()
     wait_until(lambda: not stage.session.sender.runs)
-    assert "is no JSON" in drawn()
+    assert "is not valid JSON" in drawn()
 
 
-def test_recording_that_is_not_there_is_refused(stage: Stage) -> None:
-    """Start nothing, and leave the port free."""
+def test_missing_recording_is_refused(stage: Stage) -> None:
+    """Start nothing, and release the port."""
     bpy.context.scene.tactile_clay_tracking.source = "RECORDING"
-    with pytest.raises(RuntimeError, match="Choose one under Recording"):
+    with pytest.raises(RuntimeError, match=r"does not exist\. Choose another one"):
         bpy.ops.clay.tracking_start()
     bpy.context.scene.tactile_clay_tracking.source = "OTHER"
     stage.start()
 
 
 class Layout:
-    """Takes down the texts that a panel draws."""
+    """Collects the texts that a panel draws."""
 
     def __init__(self, texts: list[str]) -> None:
         self.texts = texts
@@ -274,19 +272,19 @@ class Layout:
 
 
 def drawn() -> str:
-    """What the panel says."""
+    """The texts of the panel."""
     layout = Layout([])
     cls: Any = panel.CLAY_PT_tracking
     cls.draw(SimpleNamespace(layout=layout), bpy.context)
     return " ".join(layout.texts)
 
 
-def test_panel_tells_how_the_hands_are_tracked(stage: Stage, tmp_path: Path) -> None:
-    """Tell what to do, then source, state, pace and delay, what was refused, and the recording."""
+def test_panel_shows_the_status_of_tracking(stage: Stage, tmp_path: Path) -> None:
+    """Show what to do, then source, states, rates, rejected datagrams and the recording."""
     bpy.context.scene.tactile_clay_tracking.recording_folder = str(tmp_path)
-    assert "Nothing" not in drawn()
+    assert "No hands have arrived" not in drawn()
     stage.start()
-    assert "Nothing arrives" in drawn()
+    assert "No hands have arrived" in drawn()
     stage.show(300)
     text = drawn()
     assert "Source: leap" in text
@@ -295,11 +293,11 @@ def test_panel_tells_how_the_hands_are_tracked(stage: Stage, tmp_path: Path) -> 
     bpy.ops.clay.tracking_record()
     stage.show(50)
     text = drawn()
-    assert "1 datagrams refused: wrong length" in text
+    assert "Rejected datagrams: 1 (1 × wrong length)" in text
     assert "Stop Recording (10 frames)" in text
     for state in ("held", "lost"):
         stage.clock.turn(150)
-        # Drawing tells what the timer saw last, and changes nothing about it.
+        # Drawing shows the state of the timer's last step.
         assert f"Right: {state}" not in drawn()
         live._tick()
         assert f"Right: {state}" in drawn()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses of the default hand that tests share."""
+"""Poses of the default hand shared by tests."""
 
 from dataclasses import fields
 
@@ -15,7 +15,7 @@ FIST = HandPose(
     little=(3.0, 84.0, 98.0, 52.0),
     thumb=(34.0, 0.0, 46.0, 34.0, 40.0),
 )
-"""All fingers curled as far as they go."""
+"""All fingers fully curled."""
 
 
 def curled(share: float) -> HandPose:
@@ -32,5 +32,5 @@ def curled(share: float) -> HandPose:
 
 
 def pose_bones(pose: str | HandPose) -> dict[str, np.ndarray]:
-    """World from each bone's own coordinates of a right hand in a pose."""
+    """Bone matrices of a right hand in a pose, bone to world, by bone name."""
     return bone_matrices(hand_shape(pose=pose))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What binding refuses: in words that say what is wrong, with its number, and what to do."""
+"""Invalid input of binding, and its error messages."""
 
 from dataclasses import replace
 from typing import Any
@@ -65,21 +65,21 @@ def loose_vertex(hand: SkinnedHand) -> SkinnedHand:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "words"),
+    ("corrupt", "words"),
     [
         (with_hole, "open: it has 2 holes"),
         (inside_out, "inside out"),
         (with_watch, "2 separate pieces"),
-        (half_rigged, "7 of 3828 vertices that no bone carries"),
+        (half_rigged, "7 of 3828 vertices without bone weights"),
         (not_finite, "2 vertices that are not finite"),
         (bad_weights, "weights that are negative or not finite"),
         (loose_vertex, "1 vertices without a face"),
     ],
 )
-def test_bad_skin_is_refused(hand: SkinnedHand, spoil: Any, words: str) -> None:
-    """Say what is wrong with the mesh, with its number, and what to do."""
+def test_invalid_skin_is_refused(hand: SkinnedHand, corrupt: Any, words: str) -> None:
+    """Say what is wrong with the mesh, with numbers, and what to do."""
     with pytest.raises(MeshError, match=words):
-        bind_hand(spoil(hand), clay_spacing=0.01)
+        bind_hand(corrupt(hand), clay_spacing=0.01)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +91,7 @@ def test_bad_skin_is_refused(hand: SkinnedHand, spoil: Any, words: str) -> None:
         ({"bone_parent": np.full(26, 99, np.int32)}, "does not exist"),
     ],
 )
-def test_bad_bones_are_refused(hand: SkinnedHand, change: dict, words: str) -> None:
+def test_invalid_bones_are_refused(hand: SkinnedHand, change: dict, words: str) -> None:
     """Say what is wrong with the skeleton."""
     with pytest.raises(ValueError, match=words):
         bind_hand(replace(hand, **change), clay_spacing=0.01)
@@ -109,7 +109,7 @@ def test_bad_bones_are_refused(hand: SkinnedHand, change: dict, words: str) -> N
         ({"clay_spacing": 0.01, "cell": 1e-4}, "more than 100,000 nodes"),
     ],
 )
-def test_unfitting_sizes_are_refused(hand: SkinnedHand, options: dict, words: str) -> None:
-    """Say which size would fit."""
+def test_unsuitable_sizes_are_refused(hand: SkinnedHand, options: dict, words: str) -> None:
+    """Say which sizes are allowed."""
     with pytest.raises(ValueError, match=words):
         bind_hand(hand, **options)

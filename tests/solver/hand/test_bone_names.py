@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skeletons of loose joints, by their names."""
+"""Parents of loose bones, by name."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ WEBXR = tuple(
 OPENXR = tuple(f"XR_HAND_JOINT_{name.upper()}_EXT" for name in BONE_NAMES if name != "palm")
 
 
-def test_names_of_webxr_and_openxr_make_chains() -> None:
-    """Hang each bone on the one before it, the metacarpals and the palm on the wrist."""
+def test_names_of_webxr_and_openxr_give_chains() -> None:
+    """Parent each bone to the previous one, and the metacarpals and the palm to the wrist."""
     assert "index-finger-phalanx-proximal" in WEBXR and "thumb-tip" in WEBXR
     np.testing.assert_array_equal(named_parents(BONE_NAMES), bone_parents())
     np.testing.assert_array_equal(named_parents(WEBXR), bone_parents())
@@ -40,7 +40,7 @@ def test_names_of_webxr_and_openxr_make_chains() -> None:
 
 
 def test_missing_bones_are_skipped() -> None:
-    """Hang a finger without metacarpal on the wrist."""
+    """Parent a finger without a metacarpal to the wrist."""
     names = ("hand.R", "index_proximal.R", "index_distal.R")
     np.testing.assert_array_equal(named_parents(names), [-1, 0, 1])
 
@@ -56,5 +56,5 @@ def test_missing_bones_are_skipped() -> None:
     ids=["meaningless", "two wrists", "twice", "none"],
 )
 def test_unknown_names_stay_loose(names: tuple[str, ...]) -> None:
-    """Guess nothing where the names do not say it."""
+    """Find no parents if the names are unknown or ambiguous."""
     assert (named_parents(names) < 0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand as a skinned mesh: OpenXR's bones, smooth weights, believable poses."""
+"""The default hand as a skinned mesh: OpenXR's bones, smooth weights, plausible poses."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -29,7 +29,7 @@ def hand() -> SkinnedHand:
 
 
 def test_bones_are_the_joints_of_openxr(hand: SkinnedHand) -> None:
-    """Name all 26 joints, the wrist first and every parent before its children."""
+    """Have all 26 joints, with the wrist first and parents before children."""
     assert sorted(hand.bone_names) == sorted(JOINT_NAMES)
     assert hand.bone_names[0] == "wrist"
     assert (hand.bone_parent < np.arange(26)).all()
@@ -46,20 +46,20 @@ def test_bones_are_the_joints_of_openxr(hand: SkinnedHand) -> None:
 def test_axes_follow_openxr(side: str) -> None:
     """Point -Z along each finger bone, and +Y out of the back of the hand."""
     hand = default_hand(side)
-    place = {n: m[:3, 3] for n, m in zip(hand.bone_names, hand.bone_rest, strict=True)}
+    heads = {n: m[:3, 3] for n, m in zip(hand.bone_names, hand.bone_rest, strict=True)}
     for name, matrix, parent in zip(hand.bone_names, hand.bone_rest, hand.bone_parent, strict=True):
         np.testing.assert_allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-12)
         assert np.linalg.det(matrix[:3, :3]) == pytest.approx(1.0)
         if parent > 0:
             before = hand.bone_rest[parent]
-            way = place[name] - place[hand.bone_names[parent]]
-            np.testing.assert_allclose(-before[:3, 2], way / np.linalg.norm(way), atol=1e-9)
+            bone = heads[name] - heads[hand.bone_names[parent]]
+            np.testing.assert_allclose(-before[:3, 2], bone / np.linalg.norm(bone), atol=1e-9)
         if not name.startswith("thumb"):
             assert matrix[2, 1] > 0.85
 
 
-def test_skin_is_closed_and_carried_by_four_bones_at_most(hand: SkinnedHand) -> None:
-    """Close the skin, give every vertex its bones, and leave fingers to their own."""
+def test_skin_is_closed_and_has_at_most_four_bones_per_vertex(hand: SkinnedHand) -> None:
+    """Have a closed skin with normalized weights, and fingertips with weights of their finger."""
     mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     assert mesh.is_watertight and mesh.volume > 300e-6
     np.testing.assert_allclose(hand.weights.sum(1), 1.0)
@@ -73,7 +73,7 @@ def test_skin_is_closed_and_carried_by_four_bones_at_most(hand: SkinnedHand) -> 
 
 
 def test_weights_change_smoothly_along_the_skin(hand: SkinnedHand) -> None:
-    """Let no weight jump from one vertex to the next."""
+    """Have no jumps of weights between neighboring vertices."""
     edges = np.unique(np.sort(hand.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0)
     steps = np.abs(hand.weights[edges[:, 0]] - hand.weights[edges[:, 1]]).sum(1)
     assert np.percentile(steps, 99) < 0.6
@@ -81,8 +81,8 @@ def test_weights_change_smoothly_along_the_skin(hand: SkinnedHand) -> None:
 
 
 @pytest.mark.parametrize("pose", ["flat", "relaxed", "point", "pinch"])
-def test_posed_skin_keeps_to_its_joints(hand: SkinnedHand, pose: str) -> None:
-    """Bend the skin without tearing it: volume kept to 4 %, joints about their radius deep."""
+def test_posed_skin_keeps_its_volume_and_depth(hand: SkinnedHand, pose: str) -> None:
+    """Keep the volume to 4 %, and the joints about their radius below the skin."""
     posed = trimesh.Trimesh(hand.posed(pose_bones(pose)), hand.faces, process=False)
     rest = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     assert posed.volume == pytest.approx(rest.volume, rel=0.04)
@@ -103,7 +103,7 @@ def test_fist_keeps_its_volume(hand: SkinnedHand) -> None:
 
 @pytest.mark.parametrize("thickness", [0.7, 1.0, 1.35])
 def test_thick_and_thin_fingers_stay_apart(thickness: float) -> None:
-    """Close the skin around fingers of any thickness, with air between them."""
+    """Have a closed skin with gaps between fingers of any thickness."""
     fingers = {
         name: finger._replace(radii=scaled(finger.radii, thickness))
         for name, finger in AVERAGE.fingers.items()
@@ -112,16 +112,16 @@ def test_thick_and_thin_fingers_stay_apart(thickness: float) -> None:
     mesh = trimesh.Trimesh(hand.vertices, hand.faces, process=False)
     assert mesh.is_watertight
     assert mesh.euler_number == 2
-    place = dict(zip(hand.bone_names, hand.bone_rest[:, :3, 3], strict=True))
-    inside = SkinQuery(hand.vertices, hand.faces)
+    heads = dict(zip(hand.bone_names, hand.bone_rest[:, :3, 3], strict=True))
+    skin = SkinQuery(hand.vertices, hand.faces)
     for first, second in pairwise(("index", "middle", "ring", "little")):
         for segment in ("intermediate", "distal"):
-            way = np.linspace(place[f"{first}_{segment}"], place[f"{second}_{segment}"], 200)
-            assert (inside.nearest(way).depth < 0.0).any()
+            line = np.linspace(heads[f"{first}_{segment}"], heads[f"{second}_{segment}"], 200)
+            assert (skin.nearest(line).depth < 0.0).any()
 
 
-def test_rig_of_the_default_hand_is_made_in_one_call() -> None:
-    """Bind either hand for clay of a spacing."""
+def test_rig_of_the_default_hand_is_created_in_one_call() -> None:
+    """Create and bind a hand for a particle spacing."""
     rig = default_hand_rig("left", clay_spacing=0.01, length=0.15)
     assert rig.side == "left" and len(rig.bone_names) == 26
     assert rig.ghost_spacing == pytest.approx(0.005)

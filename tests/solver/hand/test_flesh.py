@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tetrahedra inside a hand: as large as it, well shaped, and no finger glued to another."""
+"""Tetrahedra inside a hand: correct volume, well shaped, and no fingers connected."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def hand() -> SkinnedHand:
 
 @pytest.mark.parametrize("cell", [0.004, 0.006, 0.008, 0.010, 0.013, 0.016])
 def test_fingers_share_no_nodes(hand: SkinnedHand, cell: float) -> None:
-    """Glue no finger to another, nor to the palm beside it, at any lattice size."""
+    """Connect no finger to another, nor to the palm next to it, at any lattice size."""
     parts = hand_parts(hand.vertices, hand.faces)
     skin = SkinQuery(hand.vertices, hand.faces)
     flesh = hand_flesh(skin, hand.vertices, hand.faces, parts, cell)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ghost particles cover a mesh and move with it."""
+"""Ghost particles on a mesh: coverage and motion."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_no_gap_is_wide_enough_to_leak(name: str):
-    """Leave no point farther than s/√2 from a ghost on its own side."""
+    """Leave no point farther than spacing/√2 from a ghost on its own side."""
     mesh = SHAPES[name]
     ghosts = rasterize_ghosts(mesh.vertices, mesh.faces, SPACING)
     place = ghosts.positions(mesh.vertices, mesh.faces)
@@ -32,8 +32,8 @@ def test_no_gap_is_wide_enough_to_leak(name: str):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_areas_add_up_and_normals_point_out(name: str):
-    """Share out the whole surface; normals of a convex body point away from its middle."""
+def test_areas_sum_up_and_normals_point_outward(name: str):
+    """Divide the whole surface among ghosts, with normals that point away from the center."""
     mesh = SHAPES[name]
     ghosts = rasterize_ghosts(mesh.vertices, mesh.faces, SPACING)
     assert ghosts.area.sum() == pytest.approx(mesh.area, rel=1e-9)
@@ -45,14 +45,14 @@ def test_areas_add_up_and_normals_point_out(name: str):
 
 
 def test_there_are_no_more_than_needed():
-    """Need about two ghosts for each spacing squared."""
+    """Use about two ghosts per squared spacing."""
     mesh = SHAPES["box"]
     count = len(rasterize_ghosts(mesh.vertices, mesh.faces, SPACING).face)
     assert mesh.area / SPACING**2 < count < 3 * mesh.area / SPACING**2
 
 
-def test_ghosts_are_the_same_each_time():
-    """Choose without chance."""
+def test_ghosts_are_reproducible():
+    """Give the same ghosts each time."""
     mesh = SHAPES["ball"]
     first = rasterize_ghosts(mesh.vertices, mesh.faces, SPACING)
     second = rasterize_ghosts(mesh.vertices, mesh.faces, SPACING)
@@ -61,7 +61,7 @@ def test_ghosts_are_the_same_each_time():
 
 
 def test_ghosts_follow_a_deforming_mesh():
-    """Carry ghosts on the device with their triangles, with normals, motion and orientation."""
+    """Move ghosts on the device with their triangles, including normals, motion and orientation."""
     mesh = SHAPES["ball"]
     ghosts = rasterize_ghosts(mesh.vertices, mesh.faces, SPACING)
     stretched = mesh.vertices * (1.5, 1.0, 0.7) + (0.0, 0.1, 0.0)
@@ -84,8 +84,8 @@ def test_ghosts_follow_a_deforming_mesh():
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, float("nan")])
-def test_bad_spacing_is_refused(spacing: float):
-    """Say what is wrong with a spacing that is none."""
+def test_invalid_spacing_is_refused(spacing: float):
+    """Refuse a spacing that is not a positive number."""
     mesh = SHAPES["box"]
     with pytest.raises(ValueError, match="above 0"):
         rasterize_ghosts(mesh.vertices, mesh.faces, spacing)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A hand as the scene sees it: what moves it, and what it refuses."""
+"""Hands in a scene: setting their bones, and invalid input."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tactile_clay.tests.experiments.shapes import at
 
 @pytest.fixture(scope="module")
 def rig() -> HandRig:
-    """A finger of two bones."""
+    """A finger."""
     return finger(0.01)
 
 
@@ -21,8 +21,8 @@ def hand(rig: HandRig) -> Hand:
     return Scene().add_hand(rig)
 
 
-def test_bones_that_are_not_named_stay(hand: Hand):
-    """Move only the bones that are given."""
+def test_other_bones_keep_their_poses(hand: Hand):
+    """Move only the named bones."""
     before = hand.bones.copy()
     hand.set_bones({"bone_1": at(0.1, 0.2, 0.3)})
     np.testing.assert_array_equal(hand.bones[1], at(0.1, 0.2, 0.3))
@@ -32,19 +32,19 @@ def test_bones_that_are_not_named_stay(hand: Hand):
 
 
 def test_all_bones_are_set_by_an_array_in_the_order_of_the_rig(hand: Hand):
-    """Take poses by place as by name, and keep them when the caller's array changes."""
+    """Accept poses by index or by name, and copy the caller's array."""
     assert hand.bone_names == hand.rig.bone_names
     poses = at(0.1, 0.2, 0.3) @ hand.rig.bone_rest
     by_name = dict(zip(hand.bone_names, poses.copy(), strict=True))
     hand.set_bones(poses)
-    by_place = hand.bones.copy()
+    by_index = hand.bones.copy()
     poses[:] = np.nan
-    np.testing.assert_array_equal(hand.bones, by_place)
+    np.testing.assert_array_equal(hand.bones, by_index)
     hand.set_bones({name: np.eye(4) for name in hand.bone_names})
     hand.set_bones(by_name)
-    np.testing.assert_array_equal(hand.bones, by_place)
-    hand.set_bones(by_place.astype(np.float32).tolist())
-    np.testing.assert_allclose(hand.bones, by_place, rtol=1e-6)
+    np.testing.assert_array_equal(hand.bones, by_index)
+    hand.set_bones(by_index.astype(np.float32).tolist())
+    np.testing.assert_allclose(hand.bones, by_index, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_all_bones_are_set_by_an_array_in_the_order_of_the_rig(hand: Hand):
     [((2, 4, 4), "2, 4, 4.*3 bones"), ((3, 3, 3), "3, 3, 3"), ((4, 4), "4, 4"), ((0,), "0,")],
 )
 def test_an_array_of_another_shape_is_refused(hand: Hand, shape: tuple[int, ...], message: str):
-    """Say which shape is expected, and keep the pose."""
+    """Name the expected shape, and keep the pose."""
     before = hand.bones.copy()
     with pytest.raises(ValueError, match=message):
         hand.set_bones(np.zeros(shape))
@@ -79,10 +79,10 @@ def _with(row: int, column: int, value: float) -> np.ndarray:
         ("bone_1", np.diag([9.0, 9.0, 9.0, 1.0]), "stretches"),
     ],
 )
-def test_bad_bones_are_refused_and_the_last_good_pose_stays(
+def test_invalid_bones_are_refused_and_the_last_valid_pose_is_kept(
     hand: Hand, name: str, pose: np.ndarray, message: str
 ):
-    """Say what is wrong with a bone, and keep all bones where they were."""
+    """Say what is wrong with a bone, and keep the poses of all bones."""
     hand.set_bones({"bone_0": at(0.0, 0.0, 0.1)})
     before = hand.bones.copy()
     with pytest.raises(ValueError, match=message):
@@ -107,8 +107,8 @@ def test_bad_bones_are_refused_and_the_last_good_pose_stays(
         ("hold_stiffness", np.inf),
     ],
 )
-def test_bad_options_are_refused(rig: HandRig, option: str, value: float):
-    """Name the value that makes no sense."""
+def test_invalid_options_are_refused(rig: HandRig, option: str, value: float):
+    """Name the invalid value."""
     scene = Scene()
     with pytest.raises(ValueError, match=r"friction|modulus|ratio|stiffness"):
         scene.add_hand(rig, **{option: value})
@@ -116,7 +116,7 @@ def test_bad_options_are_refused(rig: HandRig, option: str, value: float):
 
 
 def test_a_hand_can_be_lost_and_found(hand: Hand):
-    """Tell whether it is known where the hand is."""
+    """Store whether the hand is tracked."""
     assert hand.tracked
     hand.set_tracked(False)
     assert not hand.tracked

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The generated hand: closed, of human proportions, and true to its joints."""
+"""The default hand's mesh: closed, with human proportions, and consistent with its joints."""
 
 from dataclasses import replace
 from typing import Any
@@ -50,7 +50,7 @@ def hand(pose: str) -> trimesh.Trimesh:
 
 
 def test_hand_is_one_closed_body(hand: trimesh.Trimesh) -> None:
-    """Close the skin everywhere, in one piece, with its normals outwards."""
+    """Have a closed skin in one piece, with normals that point outwards."""
     assert hand.is_watertight
     assert hand.is_winding_consistent
     assert body_count(hand.faces) == 1
@@ -58,12 +58,12 @@ def test_hand_is_one_closed_body(hand: trimesh.Trimesh) -> None:
 
 
 def test_volume_is_that_of_an_adult_hand(hand: trimesh.Trimesh) -> None:
-    """Keep the volume with its wrist stub within what adult hands have, whatever the pose."""
+    """Have an adult hand's volume, including the wrist stub, in any pose."""
     assert 300e-6 < hand.volume < 450e-6
 
 
 def test_triangles_are_even(hand: trimesh.Trimesh) -> None:
-    """Give triangles of a few millimeters without slivers."""
+    """Have triangles of a few millimeters without slivers."""
     edges = hand.edges_unique_length
     assert len(hand.faces) < 9000
     assert 0.003 < edges.mean() < 0.0045
@@ -72,7 +72,7 @@ def test_triangles_are_even(hand: trimesh.Trimesh) -> None:
 
 
 def test_joints_lie_inside(pose: str, hand: trimesh.Trimesh) -> None:
-    """Hold all 26 joints under the skin, about their radius deep."""
+    """Have all 26 joints below the skin, at a depth of about their radius."""
     shape = hand_shape(pose=pose)
     assert tuple(shape.joints) == JOINT_NAMES and len(JOINT_NAMES) == 26
     points = np.array(list(shape.joints.values()))
@@ -85,7 +85,7 @@ def test_joints_lie_inside(pose: str, hand: trimesh.Trimesh) -> None:
 
 
 def test_axes_of_joints_point_along_the_bones() -> None:
-    """Turn each finger's axes so that Y runs to the next joint."""
+    """Point the Y axis of each finger joint to the next joint."""
     shape = hand_shape("left", pose="relaxed")
     for name in ("index", "little"):
         start, end = shape.joints[f"{name}_intermediate"], shape.joints[f"{name}_distal"]
@@ -95,7 +95,7 @@ def test_axes_of_joints_point_along_the_bones() -> None:
 
 
 def test_left_is_the_mirror_image_of_right(hand: trimesh.Trimesh, pose: str) -> None:
-    """Mirror the hand in X, its joints included, and keep its inside inside."""
+    """Mirror the hand and its joints in X, without turning it inside out."""
     left = mesh_of(side="left", pose=pose)
     np.testing.assert_array_equal(left.vertices, hand.vertices * (-1.0, 1.0, 1.0))
     assert left.volume == pytest.approx(hand.volume)
@@ -104,7 +104,7 @@ def test_left_is_the_mirror_image_of_right(hand: trimesh.Trimesh, pose: str) -> 
 
 
 def test_length_scales_everything() -> None:
-    """Make a hand of another length the same hand, larger or smaller."""
+    """Scale the hand uniformly to another length."""
     adult, child = mesh_of(), mesh_of(length=0.12)
     np.testing.assert_allclose(child.vertices, adult.vertices * (0.12 / 0.19))
     np.testing.assert_array_equal(child.faces, adult.faces)
@@ -114,13 +114,13 @@ def test_length_scales_everything() -> None:
 
 
 def test_length_runs_from_wrist_to_middle_fingertip() -> None:
-    """Reach with the straight middle finger as far as the length says."""
+    """Reach the given length with the straight middle finger."""
     straight = HandPose()
     assert mesh_of(pose=straight).bounds[1, 1] == pytest.approx(0.19, abs=0.001)
 
 
 def test_flat_fingers_stay_apart() -> None:
-    """Leave air between neighboring fingers from a third of their length on."""
+    """Have gaps between neighboring fingers beyond a third of their length."""
     hand, shape = mesh_of(pose="flat"), hand_shape(pose="flat")
     for first, second in (("index", "middle"), ("middle", "ring"), ("ring", "little")):
         for segment in ("intermediate", "distal"):
@@ -131,7 +131,7 @@ def test_flat_fingers_stay_apart() -> None:
 
 
 def test_pinch_brings_thumb_and_index_together() -> None:
-    """Bring the two tips within some millimeters without fusing them."""
+    """Bring the two tips within a few millimeters without fusing them."""
     hand, shape = mesh_of(pose="pinch"), hand_shape(pose="pinch")
     thumb, index = shape.joints["thumb_tip"], shape.joints["index_tip"]
     between = thumb + np.linspace(0.0, 1.0, 200)[:, None] * (index - thumb)
@@ -140,13 +140,13 @@ def test_pinch_brings_thumb_and_index_together() -> None:
 
 
 def test_thumb_is_on_the_inner_side() -> None:
-    """Put a right hand's thumb at -X when its palm faces down, and bend fingers towards it."""
+    """Have a right hand's thumb at -X when its palm faces down, and bend fingers to the palm."""
     assert hand_shape().joints["thumb_tip"][0] < -0.05
     assert hand_shape(pose="relaxed").joints["middle_tip"][2] < -0.02
 
 
 def test_any_joint_angles_give_a_closed_hand() -> None:
-    """Mesh fingers that lie against each other and against the palm."""
+    """Mesh fingers that touch each other and the palm."""
     fist = replace(
         POSES["flat"],
         index=(0.0, 85.0, 105.0, 60.0),
@@ -161,7 +161,7 @@ def test_any_joint_angles_give_a_closed_hand() -> None:
 
 @pytest.mark.parametrize("edge_length", [0.003, 0.005])
 def test_edge_length_sets_the_triangles(edge_length: float) -> None:
-    """Follow the edge length asked for."""
+    """Have triangles of the given edge length."""
     hand = mesh_of(edge_length=edge_length)
     assert hand.is_watertight
     assert hand.edges_unique_length.mean() == pytest.approx(edge_length, rel=0.2)
@@ -177,7 +177,7 @@ def test_edge_length_sets_the_triangles(edge_length: float) -> None:
         ({"edge_length": 0.02}, "between"),
     ],
 )
-def test_bad_input_is_refused_with_what_is_wrong(options: dict, words: str) -> None:
-    """Say what is wrong and what would be right."""
+def test_invalid_input_is_refused(options: dict, words: str) -> None:
+    """Say what is wrong and what is allowed."""
     with pytest.raises(ValueError, match=words):
         hand_mesh(**options)

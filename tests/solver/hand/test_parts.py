@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Telling fingers from the palm by the shape of the skin."""
+"""Dividing the skin into fingers and palm by its shape."""
 
 import numpy as np
 import pytest
 import trimesh
 
 from tactile_clay.solver.hand.default_hand import default_hand
-from tactile_clay.solver.hand.parts import PALM, HandParts, hand_parts, skin_edges, way_from
+from tactile_clay.solver.hand.parts import PALM, HandParts, distances_from, hand_parts, skin_edges
 from tactile_clay.solver.hand.skinned_hand import SkinnedHand
 
 from .hand_poses import FIST, pose_bones
@@ -20,7 +20,7 @@ def hand() -> SkinnedHand:
 
 
 def check_fingers(hand: SkinnedHand, parts: HandParts) -> None:
-    """Five free fingers, each of the skin of its own outer bones and hardly of any other's."""
+    """Check that there are five free fingers, each with the skin of its own outer bones."""
     assert parts.finger_count == 5
     strongest = np.array([hand.bone_names[bone] for bone in hand.weights.argmax(1)])
     numbers = []
@@ -38,39 +38,39 @@ def check_fingers(hand: SkinnedHand, parts: HandParts) -> None:
     assert ((parts.beyond < 0.0).sum(1) <= 1).all()
 
 
-def test_fingers_are_free_from_the_web_on(hand: SkinnedHand) -> None:
-    """Find five fingers, each beginning between its knuckle and its first joint."""
+def test_fingers_are_free_beyond_the_web(hand: SkinnedHand) -> None:
+    """Find five fingers, each starting between its knuckle and its first joint."""
     parts = hand_parts(hand.vertices, hand.faces)
     check_fingers(hand, parts)
-    place = dict(zip(hand.bone_names, hand.bone_rest[:, :3, 3], strict=True))
+    heads = dict(zip(hand.bone_names, hand.bone_rest[:, :3, 3], strict=True))
     strongest = np.array([hand.bone_names[bone] for bone in hand.weights.argmax(1)])
     for finger in FINGERS[1:]:
         (number,) = np.unique(parts.part[strongest == f"{finger}_distal"])
         lowest = hand.vertices[parts.part == number, 1].min()
-        assert place[f"{finger}_proximal"][1] < lowest < place[f"{finger}_intermediate"][1]
+        assert heads[f"{finger}_proximal"][1] < lowest < heads[f"{finger}_intermediate"][1]
 
 
 @pytest.mark.parametrize("pose", ["pinch", "point", FIST], ids=["pinch", "point", "fist"])
-def test_touching_fingers_are_still_two(hand: SkinnedHand, pose: object) -> None:
-    """Tell fingers apart that lie against each other and against the palm."""
+def test_touching_fingers_are_separated(hand: SkinnedHand, pose: object) -> None:
+    """Separate fingers that touch each other and the palm."""
     posed = hand.posed(pose_bones(pose))  # type: ignore[arg-type]
     check_fingers(hand, hand_parts(posed, hand.faces))
 
 
-def test_order_and_place_of_vertices_do_not_matter(hand: SkinnedHand) -> None:
-    """Find the same skin whatever the order of vertices, the place and the size."""
+def test_order_and_position_of_vertices_do_not_matter(hand: SkinnedHand) -> None:
+    """Find the same parts for any order of vertices, position and size."""
     order = np.random.default_rng(0).permutation(len(hand.vertices))
-    where = np.argsort(order).astype(np.int32)
-    shuffled = hand_parts(10.0 * hand.vertices[order] + 3.0, where[hand.faces])
+    index = np.argsort(order).astype(np.int32)
+    shuffled = hand_parts(10.0 * hand.vertices[order] + 3.0, index[hand.faces])
     parts = hand_parts(hand.vertices, hand.faces)
     free = parts.part != PALM
-    assert (free == (shuffled.part[where] != PALM)).mean() > 0.95
+    assert (free == (shuffled.part[index] != PALM)).mean() > 0.95
     assert shuffled.finger_count == 5
 
 
 @pytest.mark.parametrize("arm", [0.02, 8.0], ids=["no wrist", "forearm"])
 def test_arm_may_be_short_or_long(hand: SkinnedHand, arm: float) -> None:
-    """Find the fingers of a hand that is cut off at the wrist, and of one with a whole arm."""
+    """Find the fingers of a hand cut off at the wrist, and of one with a whole arm."""
     below = hand.vertices[:, 1] < 0.0
     vertices = hand.vertices.copy()
     vertices[below, 1] *= arm
@@ -80,19 +80,19 @@ def test_arm_may_be_short_or_long(hand: SkinnedHand, arm: float) -> None:
     assert ((parts.part != PALM) == (before.part != PALM)).mean() > 0.97
 
 
-def test_lump_has_no_fingers() -> None:
-    """Take a ball for one part."""
+def test_ball_has_no_fingers() -> None:
+    """Return a single part for a ball."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     parts = hand_parts(ball.vertices, ball.faces.astype(np.int32))
     assert parts.finger_count == 0
     assert (parts.part == PALM).all() and parts.beyond.shape == (len(ball.vertices), 0)
 
 
-def test_way_along_the_skin() -> None:
-    """Measure ways along the edges of a unit cube from one corner."""
+def test_distances_along_the_skin() -> None:
+    """Compute distances along the edges of a unit cube from one corner."""
     box = trimesh.creation.box((1.0, 1.0, 1.0))
     edges = skin_edges(box.faces.astype(np.int32))
     lengths = np.linalg.norm(np.diff(box.vertices[edges], axis=1)[:, 0], axis=1)
     straight = np.isclose(lengths, 1.0)
-    way = way_from(0, edges[straight], lengths[straight])
-    np.testing.assert_allclose(way, np.abs(box.vertices - box.vertices[0]).sum(1))
+    distances = distances_from(0, edges[straight], lengths[straight])
+    np.testing.assert_allclose(distances, np.abs(box.vertices - box.vertices[0]).sum(1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way of bones through a step."""
+"""Interpolation of bones over a step."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from tactile_clay.tests.experiments.shapes import at
 
 
 def turn(axis: int, angle: float) -> np.ndarray:
-    """A pose turned about an axis through the origin."""
+    """A rotation about an axis through the origin, shape [4, 4]."""
     pose = np.eye(4)
     first, second = (axis + 1) % 3, (axis + 2) % 3
     pose[first, first] = pose[second, second] = np.cos(angle)
@@ -17,8 +17,8 @@ def turn(axis: int, angle: float) -> np.ndarray:
     return pose
 
 
-def test_bones_start_and_arrive_exactly():
-    """Begin at the last poses and end at the next, however they are turned and stretched."""
+def test_path_starts_and_ends_exactly():
+    """Start at the last poses and end at the next, for any rotation and stretch."""
     rest = np.array([at(0.1, 0.0, 0.0), turn(0, 0.7) @ np.diag([1.2, 1.2, 1.2, 1.0])])
     end = np.array(
         [at(0.3, 0.1, 0.0) @ turn(2, 3.1), turn(1, -1.0) @ np.diag([1.0, 1.5, 0.8, 1.0])]
@@ -29,8 +29,8 @@ def test_bones_start_and_arrive_exactly():
     np.testing.assert_allclose(path.poses(1.0)[0], end, atol=1e-12)
 
 
-def test_bones_turn_evenly():
-    """Be half turned and halfway there in the middle of a step."""
+def test_bones_move_uniformly():
+    """Complete half of the rotation and half of the motion at the middle of a step."""
     path = BonePath(np.array([at(0.0, 0.0, 1.0)]))
     path.aim(np.array([at(0.2, 0.0, 1.0) @ turn(2, 2.0)]))
     poses, frames = path.poses(0.5)
@@ -40,8 +40,8 @@ def test_bones_turn_evenly():
     )
 
 
-def test_frames_are_counted_from_rest():
-    """Say how a bone is turned from its rest pose, which may be any."""
+def test_rotations_are_relative_to_rest():
+    """Return a bone's rotation from its rest pose, for any rest pose."""
     rest = np.array([turn(0, 0.4) @ np.diag([2.0, 2.0, 2.0, 1.0])])
     path = BonePath(rest)
     path.aim(turn(1, 0.3) @ rest)
@@ -49,4 +49,4 @@ def test_frames_are_counted_from_rest():
     np.testing.assert_allclose(
         matrices_from_quaternions(frames[0]), turn(1, 0.3)[:3, :3], atol=1e-12
     )
-    np.testing.assert_allclose(path.turns(poses)[0], turn(1, 0.3), atol=1e-12)
+    np.testing.assert_allclose(path.skinning_matrices(poses)[0], turn(1, 0.3), atol=1e-12)

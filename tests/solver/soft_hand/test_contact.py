@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How forces on the skin reach ghosts and nodes."""
+"""Transfer of forces on the skin to ghosts and nodes."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def rig() -> HandRig:
 
 @given(COORDINATES)
 def test_distance_to_a_triangle(point: list[float]):
-    """Agree with the nearest of many points of the triangle."""
+    """Agree with the distance to the nearest of many points on the triangle."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.2, 0.8, 0.3]])
     steps = np.linspace(0.0, 1.0, 81)
     first, second = np.meshgrid(steps, steps)
@@ -37,7 +37,7 @@ def test_distance_to_a_triangle(point: list[float]):
 
 
 def test_every_face_has_ghosts_on_its_own_side(rig: HandRig):
-    """Find a ghost for whatever presses on a face, never one from across the finger."""
+    """Have ghosts for every face, none of them on the opposite side of the finger."""
     skin = make_skin(rig, 0, SPACING, wp.get_device("cpu"))
     begin, ghosts = skin.ghost_begin.numpy(), skin.ghost.numpy()
     assert (np.diff(begin) > 0).all()
@@ -49,8 +49,8 @@ def test_every_face_has_ghosts_on_its_own_side(rig: HandRig):
     assert away.max() < 2.0 * SPACING
 
 
-def test_ghosts_feel_all_that_the_clay_does_where_it_does(rig: HandRig):
-    """Add up to the force on the hand, around the clay that presses, and to the load on nodes."""
+def test_forces_on_ghosts_sum_to_the_force_of_the_clay(rig: HandRig):
+    """Sum to the force on the hand, act near the clay, and push against the skin."""
     scene = Scene(SPACING)
     scene.add_clay(block((6, 6, 4), SPACING), Material())
     scene.add_plane()
@@ -69,7 +69,7 @@ def test_ghosts_feel_all_that_the_clay_does_where_it_does(rig: HandRig):
         1
     )
     assert gaps.max() < SPACING
-    # Clay pushes against the skin, but for friction.
+    # Apart from friction, clay pushes against the skin.
     pressing = np.einsum("gi,gi->g", contacts.forces, contacts.normals)
     assert pressing.sum() < -0.8 * np.linalg.norm(contacts.forces, axis=1).sum()
     np.testing.assert_allclose(np.linalg.norm(contacts.normals, axis=1), 1.0)

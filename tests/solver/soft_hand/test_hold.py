@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How bones yield to forces."""
+"""Deflection of bones by forces."""
 
 import numpy as np
 import pytest
@@ -26,13 +26,13 @@ def at_tip(rig: HandRig, force: tuple[float, float, float]) -> np.ndarray:
 
 
 def poses_of(rig: HandRig, hold: Hold) -> tuple[np.ndarray, np.ndarray]:
-    """The poses that rest poses yield to."""
+    """The rest poses and rotations after deflection."""
     frames = np.tile((0.0, 0.0, 0.0, 1.0), (len(rig.bone_names), 1))
     return hold.applied(rig.bone_rest, frames)
 
 
-def test_a_finger_gives_way_by_force_over_stiffness(rig: HandRig):
-    """Let the tip of a straight finger go aside by F / k, little by little."""
+def test_a_finger_yields_by_force_over_stiffness(rig: HandRig):
+    """Deflect the tip of a straight finger by about F / k."""
     hold = Hold(rig, STIFFNESS)
     load = at_tip(rig, (0.3, 0.0, 0.0))
     poses_of(rig, hold)
@@ -41,13 +41,13 @@ def test_a_finger_gives_way_by_force_over_stiffness(rig: HandRig):
     poses, _ = poses_of(rig, hold)
     named = dict(zip(rig.bone_names, poses, strict=True))
     moved = (rig.skinned_nodes(named) - rig.nodes)[load[:, 0] > 0].mean(0)
-    # The bones' own share of joints that carry no flesh beyond them does not count.
+    # Joints without flesh beyond them do not contribute their share.
     assert 0.5 * 0.3 / STIFFNESS < moved[0] < 1.05 * 0.3 / STIFFNESS
     assert abs(moved[1]) < 1e-6
 
 
 def test_bones_follow_with_a_delay(rig: HandRig):
-    """Have gone 1 − 1/e of the way after the hold time."""
+    """Complete 1 − 1/e of the deflection after the hold time."""
     hold = Hold(rig, STIFFNESS)
     load = at_tip(rig, (0.0, 0.0, 0.3))
     for _ in range(1000):
@@ -58,8 +58,8 @@ def test_bones_follow_with_a_delay(rig: HandRig):
     assert early / hold.shift[0, 2] == pytest.approx(1.0 - np.exp(-1.0), rel=0.01)
 
 
-def test_the_response_tells_where_small_loads_lead(rig: HandRig):
-    """Predict the motion of nodes that `follow` and `applied` lead to in the end."""
+def test_the_response_predicts_deflections_under_small_loads(rig: HandRig):
+    """Predict the final motion of the nodes by `follow` and `applied`."""
     hold = Hold(rig, STIFFNESS)
     poses_of(rig, hold)
     load = at_tip(rig, (0.003, 0.002, 0.001))
@@ -71,8 +71,8 @@ def test_the_response_tells_where_small_loads_lead(rig: HandRig):
     np.testing.assert_allclose(moved, predicted, atol=0.01 * np.abs(predicted).max())
 
 
-def test_turned_bones_carry_their_children(rig: HandRig):
-    """Keep the joints of a yielded finger together."""
+def test_deflected_bones_move_their_children(rig: HandRig):
+    """Keep the joints of a deflected finger connected."""
     hold = Hold(rig, STIFFNESS)
     hold.turn[0] = (0.3, 0.0, 0.0)
     hold.turn[1] = (0.0, 0.4, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Soft hands and clay: forces both ways, contact that neither blasts nor lets through."""
+"""Soft hands and clay: two-way forces, and contact without explosions or tunneling."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ def rig() -> HandRig:
 
 @pytest.fixture(scope="module")
 def palm() -> HandRig:
-    """A palm that faces up, its skin at z = 0."""
+    """A palm that faces up, with its skin at z = 0."""
     return slab(0.013, ghost_spacing=0.004)
 
 
@@ -41,7 +41,7 @@ def over_a_block(
 
 
 def press(solver: Solver, hand: Hand, start: float, frames: range) -> None:
-    """Push the finger down, a millimeter a frame and a little aside."""
+    """Push the finger down by a millimeter per frame, and slightly sideways."""
     for frame in frames:
         pose = at(0.0001 * frame, 0, start - 0.001 * (frame + 1))
         hand.set_bones(posed(hand.rig, pose))
@@ -49,13 +49,13 @@ def press(solver: Solver, hand: Hand, start: float, frames: range) -> None:
 
 
 def skin_of(solver: Solver, hand: Hand) -> np.ndarray:
-    """Vertices of a hand's skin as the solver has it [m]."""
+    """The solver's vertices of a hand's skin [m], shape [V, 3]."""
     (soft,) = [soft for soft in solver._hands if soft.hand is hand]
     return hand.rig.carried_vertices(soft.flesh.data.position.numpy())
 
 
-def test_a_scene_without_hands_holds_and_runs_nothing_of_them():
-    """Allocate no row and list no pass."""
+def test_a_scene_without_hands_allocates_nothing_for_them():
+    """Allocate no arrays for hands, and list none."""
     scene = Scene(SPACING)
     scene.add_clay(block(3, SPACING), Material())
     box = trimesh.creation.box((0.1, 0.1, 0.01))
@@ -69,7 +69,7 @@ def test_a_scene_without_hands_holds_and_runs_nothing_of_them():
     assert not any(name.startswith("hand") for name in solver.snapshot())
 
 
-def test_describe_tells_of_hands(rig: HandRig):
+def test_describe_lists_hands(rig: HandRig):
     """List the flesh and its contact."""
     scene, _ = over_a_block(rig)
     text = Solver(scene).describe()
@@ -78,7 +78,7 @@ def test_describe_tells_of_hands(rig: HandRig):
 
 
 def test_same_steps_give_the_same_bits(rig: HandRig):
-    """Repeat a run exactly, yielding bones and all."""
+    """Repeat a run exactly, including deflected bones."""
     results = []
     for _ in range(2):
         scene, hand = over_a_block(rig, hold_stiffness=300.0)
@@ -91,7 +91,7 @@ def test_same_steps_give_the_same_bits(rig: HandRig):
 
 @pytest.mark.parametrize("hold_stiffness", [None, 300.0])
 def test_snapshot_restores_hands_exactly(rig: HandRig, hold_stiffness: float | None):
-    """Go on from a snapshot with the same bits as an unbroken run."""
+    """Continue from a snapshot with the same bits as an uninterrupted run."""
     scene, hand = over_a_block(rig, hold_stiffness=hold_stiffness)
     solver = Solver(scene)
     press(solver, hand, 0.031, range(6))
@@ -107,7 +107,7 @@ def test_snapshot_restores_hands_exactly(rig: HandRig, hold_stiffness: float | N
 
 
 def test_hands_of_other_scenes_are_refused(rig: HandRig):
-    """Say that a hand is not known."""
+    """Say that the hand is not in the scene."""
     scene, _ = over_a_block(rig)
     solver = Solver(scene)
     stranger = Scene().add_hand(rig)
@@ -117,15 +117,15 @@ def test_hands_of_other_scenes_are_refused(rig: HandRig):
         solver.force_on(stranger)
 
 
-def test_the_papers_clay_knows_no_hands(rig: HandRig):
-    """Refuse what would go through each other."""
+def test_the_papers_model_refuses_hands(rig: HandRig):
+    """Refuse hands with a model that has no contact with them."""
     scene, _ = over_a_block(rig)
     with pytest.raises(ValueError, match="plastic_bonds"):
         Solver(scene, Settings(model="paper"))
 
 
 def test_a_hand_needs_no_clay(rig: HandRig):
-    """Move and jump where there is nothing to touch."""
+    """Move and jump in a scene without clay."""
     scene = Scene(SPACING)
     hand = scene.add_hand(rig)
     solver = Solver(scene)
@@ -139,7 +139,7 @@ def test_a_hand_needs_no_clay(rig: HandRig):
 
 
 def test_momentum_of_the_clay_changes_by_the_force_of_the_hand(rig: HandRig):
-    """Push free clay, and find its momentum in the forces on the ghosts, turned round."""
+    """Push free clay, whose momentum equals the negative impulse on the ghosts."""
     scene = Scene(SPACING, gravity=(0, 0, 0))
     scene.add_clay(block(5, SPACING), Material())
     hand = scene.add_hand(rig)
@@ -158,7 +158,7 @@ def test_momentum_of_the_clay_changes_by_the_force_of_the_hand(rig: HandRig):
 
 @pytest.mark.parametrize("hold_stiffness", [None, 500.0])
 def test_a_block_on_an_open_palm_weighs_m_g(palm: HandRig, hold_stiffness: float | None):
-    """Weigh what it weighs, on firm bones and on yielding ones, awake and asleep."""
+    """Press with its weight on rigid and on yielding bones, until it sleeps."""
     scene = Scene(SPACING)
     scene.add_clay(block(5, SPACING, (0.001, 0.002, 0.0002)), Material())
     hand = scene.add_hand(palm, hold_stiffness=hold_stiffness)
@@ -173,7 +173,7 @@ def test_a_block_on_an_open_palm_weighs_m_g(palm: HandRig, hold_stiffness: float
 
 
 def test_clay_that_sleeps_on_a_palm_falls_when_the_hand_is_lost(palm: HandRig):
-    """Wake what rested on a hand that is not there any more."""
+    """Wake clay that rested on a hand when the hand is lost."""
     scene = Scene(SPACING)
     scene.add_clay(block(3, SPACING, (0.001, 0.002, 0.0)), Material())
     hand = scene.add_hand(palm)
@@ -193,7 +193,7 @@ def test_clay_that_sleeps_on_a_palm_falls_when_the_hand_is_lost(palm: HandRig):
 
 @pytest.mark.parametrize("hold_stiffness", [None, 500.0])
 def test_two_hands_that_squeeze_a_block_feel_the_same(palm: HandRig, hold_stiffness: float | None):
-    """Squeeze a free block: forces are equal and opposite, and it stays in the middle."""
+    """Squeeze a free block with equal and opposite forces, without moving its center."""
     scene = Scene(SPACING, gravity=(0, 0, 0))
     scene.add_clay(block(6, SPACING, (0, 0, -0.015)), Material())
     hands = [scene.add_hand(palm, hold_stiffness=hold_stiffness) for _ in range(2)]
@@ -215,7 +215,7 @@ def test_two_hands_that_squeeze_a_block_feel_the_same(palm: HandRig, hold_stiffn
 
 
 def test_stiff_clay_stops_a_yielding_finger_and_soft_clay_lets_it_through(rig: HandRig):
-    """Track a finger 12 mm into clay of 1 kPa and of 50 kPa, held by 200 N/m."""
+    """Track a finger held by 200 N/m 12 mm into clay of 1 kPa and of 50 kPa."""
     depths, forces = [], []
     for yield_stress, shear_modulus in ((1e3, 1e5), (5e4, 2e6)):
         material = Material(yield_stress=yield_stress, shear_modulus=shear_modulus, viscosity=50.0)
@@ -230,12 +230,12 @@ def test_stiff_clay_stops_a_yielding_finger_and_soft_clay_lets_it_through(rig: H
     assert soft > 0.008
     assert stiff < 0.002
     assert forces[1] > 2.0 * forces[0]
-    # Along the straight finger only the root gives way, which is a quarter of the whole.
+    # Along a straight finger only the root yields, with a quarter of the total compliance.
     assert forces[1] < 4.0 * 200.0 * 0.012
 
 
-def test_a_yielding_finger_is_back_in_its_pose_soon_after_it_let_go(rig: HandRig):
-    """Lift a finger that yielded off the clay and far away, and find it where it is tracked."""
+def test_a_yielding_finger_returns_to_its_pose_after_release(rig: HandRig):
+    """Lift a deflected finger off the clay, and find it in its tracked pose."""
     scene, hand = over_a_block(rig, hold_stiffness=100.0)
     solver = Solver(scene)
     press(solver, hand, 0.031, range(12))
@@ -247,8 +247,8 @@ def test_a_yielding_finger_is_back_in_its_pose_soon_after_it_let_go(rig: HandRig
     np.testing.assert_allclose(skin_of(solver, hand), expected, atol=2e-5)
 
 
-def test_bones_are_where_they_are_set_unless_told_to_yield(rig: HandRig):
-    """Carry the root of the flesh exactly, however hard clay pushes."""
+def test_bones_keep_their_poses_unless_they_may_yield(rig: HandRig):
+    """Keep the root of the flesh in place, however hard clay pushes."""
     scene, hand = over_a_block(rig, material=Material(yield_stress=5e4, shear_modulus=2e6))
     solver = Solver(scene)
     press(solver, hand, 0.031, range(8))
@@ -262,7 +262,7 @@ def test_bones_are_where_they_are_set_unless_told_to_yield(rig: HandRig):
 def test_a_fingertip_flattens_on_stiff_clay(
     rig: HandRig, young_modulus: float, growth: tuple[float, float]
 ):
-    """Lay twice the skin flat on clay like stone that a fingertip at rest has, if it is soft."""
+    """Flatten at least 1.8 times the skin area of a fingertip at rest, if the flesh is soft."""
     fine = 0.0025
     top = 6 * fine
     scene = Scene(fine)
@@ -287,7 +287,7 @@ def test_a_fingertip_flattens_on_stiff_clay(
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_a_fast_finger_does_not_tunnel(rig: HandRig, speed: float):
-    """Sweep through a block: no clay ends in the flesh, none is thrown faster than it could be."""
+    """Sweep through a block: no clay stays in the flesh, none is faster than twice the finger."""
     scene, hand = over_a_block(rig, (6, 8, 6))
     solver = Solver(scene)
     x = -0.045
@@ -307,7 +307,7 @@ def test_a_fast_finger_does_not_tunnel(rig: HandRig, speed: float):
 
 
 def test_a_hand_that_jumps_into_clay_moves_it_out_gently_and_feels_nothing_meanwhile(rig: HandRig):
-    """Push out what it covers at no more than half a meter a second, then feel it."""
+    """Push clay out at no more than 0.5 m/s, and report forces only afterwards."""
     scene, hand = over_a_block(rig)
     solver = Solver(scene)
     solver.step(FRAME)
@@ -328,8 +328,8 @@ def test_a_hand_that_jumps_into_clay_moves_it_out_gently_and_feels_nothing_meanw
     assert np.abs(solver.positions().mean(0) - before).max() < 0.2 * SPACING
 
 
-def test_a_hand_that_jumps_away_takes_no_clay_along(rig: HandRig):
-    """Leave the clay where it was."""
+def test_a_hand_that_jumps_away_moves_no_clay(rig: HandRig):
+    """Leave the clay in place."""
     scene, hand = over_a_block(rig)
     solver = Solver(scene)
     press(solver, hand, 0.031, range(10))
@@ -341,8 +341,8 @@ def test_a_hand_that_jumps_away_takes_no_clay_along(rig: HandRig):
     assert not solver.contacts(hand).forces.any()
 
 
-def test_a_lost_hand_touches_nothing_and_takes_hold_again_by_and_by(rig: HandRig):
-    """Let go at once; come back in the clay without a blow; feel it again when clay is outside."""
+def test_a_lost_hand_touches_nothing_and_regains_its_grip_gradually(rig: HandRig):
+    """Release clay at once, reappear inside clay gently, and report forces once clay is outside."""
     scene, hand = over_a_block(rig)
     solver = Solver(scene)
     press(solver, hand, 0.031, range(8))
@@ -368,7 +368,7 @@ def test_a_lost_hand_touches_nothing_and_takes_hold_again_by_and_by(rig: HandRig
 
 
 def test_flesh_recovers_from_a_jump_within_half_a_second(rig: HandRig):
-    """Be back in shape 0.5 s after the pose jumped by 18 cm and bent by 80°."""
+    """Return to shape within 0.5 s after the pose jumped by 18 cm and bent by 80°."""
     scene = Scene(SPACING)
     hand = scene.add_hand(rig)
     solver = Solver(scene)
@@ -395,10 +395,10 @@ def test_flesh_recovers_from_a_jump_within_half_a_second(rig: HandRig):
     ("hold_stiffness", "shift", "turn"),
     [(None, 0.002, 0.1), (300.0, 0.002, 0.1), (300.0, 0.1, 3.0)],
 )
-def test_tracking_that_trembles_or_goes_mad_does_no_harm(
+def test_noisy_and_erratic_tracking_is_tolerated(
     rig: HandRig, hold_stiffness: float | None, shift: float, turn: float
 ):
-    """Stay finite, keep the clay together and the flesh in one piece, whatever the bones do."""
+    """Stay finite, and keep the clay together, for any motion of the bones."""
     scene, hand = over_a_block(rig, hold_stiffness=hold_stiffness)
     solver = Solver(scene)
     random = np.random.default_rng(0)

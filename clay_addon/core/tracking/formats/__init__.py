@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The formats in which trackers describe hands."""
+"""Parsers for the data formats of the trackers."""

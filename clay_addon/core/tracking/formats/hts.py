@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands from Hand Tracking Streamer's lines, as a Meta Quest sends them.
+"""Parses the text that Hand Tracking Streamer sends from a Meta Quest.
 
-UTF-8 text with a wrist's line and one of 21 landmarks for each hand (its CONNECTIONS.md):
+UTF-8 text; each hand has a line for the wrist and one for 21 landmarks (see its CONNECTIONS.md):
 
     Right wrist:, x, y, z, qx, qy, qz, qw
-    Right landmarks:, x, y, z, … (21 points in the wrist's own axes)
+    Right landmarks:, x, y, z, … (21 points in the wrist's axes)
 
-Meters in Unity's left-handed axes, X right, Y up, Z forward: the wrist's Z points to the fingers
-and its Y out of the back of the hand. No confidence is given.
+Units are meters in Unity's left-handed axes: X right, Y up, Z forward. The wrist's Z points to the
+fingers and its Y out of the back of the hand. The app gives no confidence.
 """
 
 from __future__ import annotations
@@ -21,29 +21,31 @@ from ..protocol.joints import ALL_JOINTS, FINGERS, JOINT_COUNT, PALM, SIDES, WRI
 from ..protocol.packet import HandFrame
 
 _LANDMARKS = [WRIST, *(joint for finger in FINGERS for joint in finger[-4:])]
-_GUESSED = sum(1 << joint for joint in (PALM, *(finger[0] for finger in FINGERS[1:])))
-_WRIST_AGE = 50_000_000
-_LONGEST = 1 << 16
+_INFERRED = sum(1 << joint for joint in (PALM, *(finger[0] for finger in FINGERS[1:])))
+"""Bits of the joints that the app does not send."""
+_MAX_WRIST_AGE = 50_000_000
+"""Landmarks use the last wrist if it is no older than this [ns]."""
+_MAX_DATAGRAM_SIZE = 1 << 16
 _MIRROR = np.array([1.0, 1.0, -1.0])
 
 
 class HtsHands:
-    """Puts wrists and landmarks together to hands. Nothing is raised: bad lines are counted."""
+    """Combines wrists and landmarks into hands. Bad lines are counted, not raised."""
 
     def __init__(self) -> None:
-        """Begin without hands."""
+        """Start without any wrist."""
         self.rejected = 0
-        """Lines and hands that could not be read."""
+        """Number of lines and hands that could not be read."""
         self._wrists: dict[str, tuple[int, NDArray[np.float64]]] = {}
 
     def read(self, data: bytes, now: int) -> list[HandFrame]:
-        """The hands that a datagram completes.
+        """Return the hands that a datagram completes.
 
         Args:
-            data: What arrived.
-            now: When, on this machine's clock [ns].
+            data: The datagram.
+            now: When it arrived, on this machine's clock [ns].
         """
-        if len(data) > _LONGEST:
+        if len(data) > _MAX_DATAGRAM_SIZE:
             self.rejected += 1
             return []
         frames = []
@@ -61,7 +63,7 @@ class HtsHands:
 
     def _line(self, line: str, now: int) -> HandFrame | None:
         label, colon, rest = line.partition(":")
-        # Newer versions put a frame number and a time after a bar.
+        # Newer versions append a frame number and a time after a vertical bar.
         words = label.partition("|")[0].lower().split()
         if not colon or len(words) != 2:
             raise ValueError("no label")
@@ -80,8 +82,8 @@ class HtsHands:
             return None
         if kind != "landmarks" or len(values) != 63:
             raise ValueError("bad landmarks")
-        known, wrist = self._wrists.get(side, (0, values))
-        if len(wrist) != 7 or now - known > _WRIST_AGE:
+        arrived, wrist = self._wrists.get(side, (0, values))
+        if len(wrist) != 7 or now - arrived > _MAX_WRIST_AGE:
             raise ValueError("landmarks without a wrist")
         return _frame(side, wrist, values.reshape(21, 3), now)
 
@@ -90,7 +92,7 @@ def _frame(
     side: str, wrist: NDArray[np.float64], landmarks: NDArray[np.float64], now: int
 ) -> HandFrame:
     quaternion = wrist[3:] / np.linalg.norm(wrist[3:])
-    # A mirror in Z turns the other way about X and Y.
+    # Mirroring Z reverses rotations about X and Y.
     rotation = matrices_from_quaternions(quaternion * np.array([-1.0, -1.0, 1.0, 1.0]))
     positions = np.full((JOINT_COUNT, 3), np.nan)
     positions[_LANDMARKS] = wrist[:3] * _MIRROR + (landmarks * _MIRROR) @ rotation.T
@@ -98,6 +100,6 @@ def _frame(
         side=side,
         source_time=now,
         source="hts",
-        tracked=ALL_JOINTS & ~_GUESSED,
+        tracked=ALL_JOINTS & ~_INFERRED,
         joints=complete_hand(positions, side, palm_rotation=rotation),
     )

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands from the Leap service's JSON, protocol 6, and from files of it (LeapJS Playback).
+"""Parses the Leap service's JSON, protocol 6, and recordings of it (LeapJS Playback).
 
-Millimeters and microseconds, Y up, +Z towards the person; joints mcp, pip, dip and tip of each
-finger, and the palm. Older services give neither wrist nor metacarpals; those are derived.
+Units are millimeters and microseconds; Y is up, +Z points towards the user. A hand has the joints
+mcp, pip, dip and tip of each finger, and the palm. Older services give neither the wrist nor the
+metacarpals; these are inferred.
 """
 
 from __future__ import annotations
@@ -25,27 +26,29 @@ from ..protocol.joints import ALL_JOINTS, FINGERS, JOINT_COUNT, PALM, SIDES, WRI
 from ..protocol.packet import HandFrame
 
 _JOINT_KEYS = ("mcpPosition", "pipPosition", "dipPosition", "tipPosition")
-_GUESSED = sum(1 << joint for joint in (WRIST, *(finger[0] for finger in FINGERS[1:])))
+_INFERRED = sum(1 << joint for joint in (WRIST, *(finger[0] for finger in FINGERS[1:])))
+"""Bits of the joints that older services do not send."""
 _MAX_FILE_SIZE = 1 << 30
+"""Largest size of an unpacked .json.gz that is read [bytes]."""
 
 
 class LeapHands:
-    """Turns the service's frames into hands, one after the other.
+    """Converts the service's frames to hands, in order.
 
-    Of two hands that both claim to be the same, the one that has been it before is believed, then
-    the surer one. Whatever a frame holds, nothing is raised: what is no hand is counted.
+    If a frame has two hands of one side, the one with the id used so far is kept, otherwise the
+    one with the higher confidence. Invalid frames and hands are counted, not raised.
     """
 
     def __init__(self) -> None:
-        """Begin without hands."""
+        """Start without hands."""
         self.rejected = 0
-        """Frames and hands that could not be read."""
+        """Number of frames and hands that could not be read."""
         self.time: int | None = None
-        """Time of the frame that was read last [ns]; None where it was none."""
+        """Time of the last message [ns]; None if it was not a valid frame."""
         self._identity: dict[str, Any] = {}
 
     def read(self, message: Any) -> list[HandFrame]:
-        """The hands in a frame, at most one of each side; none where it is not a frame.
+        """Return the hands in a frame, at most one per side; empty if it is not a valid frame.
 
         Args:
             message: The parsed JSON.
@@ -79,13 +82,13 @@ class LeapHands:
 
 
 def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
-    """Time [ns] and hands of each frame of a file, in the order of their times.
+    """Read the time [ns] and the hands of each frame of a file, sorted by time.
 
     Args:
-        path: A .json or .json.gz file of LeapJS Playback, protocol 6.
+        path: A LeapJS Playback recording, .json or .json.gz, protocol 6.
 
     Raises:
-        TrackingError: The file cannot be read, or holds no frames.
+        TrackingError: The file cannot be read, or contains no hands.
     """
     try:
         data = path.read_bytes()
@@ -97,7 +100,7 @@ def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
         raise TrackingError(f"{path} cannot be read ({error}).") from error
     except (ValueError, RecursionError) as error:
         raise TrackingError(
-            f"{path} is no JSON; expected a recording of LeapJS Playback."
+            f"{path} is not valid JSON; expected a LeapJS Playback recording."
         ) from error
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list):
@@ -110,15 +113,15 @@ def read_leap_file(path: Path) -> list[tuple[int, list[HandFrame]]]:
         if time is not None:
             read.append((time, found))
     if not any(found for _, found in read):
-        raise TrackingError(f"{path} holds no hand that can be read, in {len(frames)} frames.")
+        raise TrackingError(f"None of the {len(frames)} frames in {path} has a readable hand.")
     read.sort(key=lambda item: item[0])
     return read
 
 
 def _unpacked(frames: list[Any]) -> Iterator[Any]:
-    """The frames of a file, whose later versions keep values without their names.
+    """Yield the frames of a file. Later versions of the format store values without their keys.
 
-    There the first frame has the names in place of the values, nested as the values are.
+    There the first frame holds the keys in place of the values, with the same nesting.
     """
     if not frames or not isinstance(frames[0], list):
         yield from frames
@@ -131,13 +134,13 @@ def _unpacked(frames: list[Any]) -> Iterator[Any]:
 
 
 def _named(names: Any, values: Any) -> Any:
-    """Values with their names; names in a list of their own are those of every value."""
+    """Combine keys and values; a nested list of keys applies to every item of a list of values."""
     if len(names) == 1 and isinstance(names[0], list):
         return [_named(names[0], value) for value in values]
     result = {}
     for name, value in zip(names, values, strict=False):
         if isinstance(name, str):
-            # A value that the device did not give is kept as null.
+            # Null means that the device did not provide the value.
             if value is not None:
                 result[name] = value
         else:
@@ -153,29 +156,29 @@ def _hand(entry: Mapping[str, Any], pointables: list[Mapping[str, Any]], time: i
     positions = np.full((JOINT_COUNT, 3), np.nan)
     radii = np.full(JOINT_COUNT, np.nan)
     reference = reference_hand(side)
-    guessed = _GUESSED
+    inferred = _INFERRED
     for pointable in pointables:
         if pointable.get("handId") != entry["id"] or pointable.get("tool"):
             continue
-        # Some recordings lack the type, which is the last digit of the number.
+        # Some recordings lack the type; it is also the last digit of the id.
         kind = pointable["type"] if "type" in pointable else pointable["id"] % 10
         if kind not in range(5):
             raise SkeletonError("bad finger")
         finger = FINGERS[kind]
-        # The thumb has no mcp of its own: what is called so is the base of its metacarpal.
+        # The thumb's "mcp" is the base of its metacarpal.
         chain = list(finger[-4:])
         for joint, key in zip(chain, _JOINT_KEYS, strict=True):
             positions[joint] = _vector(pointable[key]) * 1e-3
         if kind and "carpPosition" in pointable:
             positions[finger[0]] = _vector(pointable["carpPosition"]) * 1e-3
-            guessed &= ~(1 << finger[0])
-        # One width for the whole finger: the reference hand says how a finger tapers.
+            inferred &= ~(1 << finger[0])
+        # There is one width per finger; the reference hand provides the taper.
         taper = reference.radii[chain]
         width = _number(pointable.get("width", math.nan))
         radii[chain] = 0.5e-3 * width * taper / taper.mean()
     if "wrist" in entry:
         positions[WRIST] = _vector(entry["wrist"]) * 1e-3
-        guessed &= ~(1 << WRIST)
+        inferred &= ~(1 << WRIST)
     positions[PALM] = _vector(entry["palmPosition"]) * 1e-3
     rotation = palm_axes(_vector(entry["direction"]), _vector(entry["palmNormal"]))
     joints = complete_hand(positions, side, palm_rotation=rotation, radii=radii)
@@ -184,7 +187,7 @@ def _hand(entry: Mapping[str, Any], pointables: list[Mapping[str, Any]], time: i
         source_time=time,
         source="leap",
         confidence=min(1.0, max(0.0, _number(entry.get("confidence", 1.0)))),
-        tracked=ALL_JOINTS & ~guessed,
+        tracked=ALL_JOINTS & ~inferred,
         joints=joints,
     )
     if not np.isfinite(frame.confidence):
@@ -195,11 +198,11 @@ def _hand(entry: Mapping[str, Any], pointables: list[Mapping[str, Any]], time: i
 def palm_axes(
     direction: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """OpenXR's axes of the palm as columns, shape [3, 3]; None where Leap gives none of use.
+    """The palm's OpenXR axes as columns, shape [3, 3]; None if Leap's vectors are unusable.
 
     Args:
-        direction: From the palm to the fingers, a unit vector.
-        normal: Out of the palm, a unit vector.
+        direction: Unit vector from the palm to the fingers.
+        normal: Unit vector out of the palm.
     """
     back, up = -direction, -normal
     length = np.linalg.norm(back)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands in space from MediaPipe's landmarks of a picture.
+"""Hands in space from MediaPipe's landmarks.
 
-MediaPipe gives each hand twice: where its 21 landmarks are in the picture, and a hand in meters
-about its own middle. Laid in front of a camera so that it covers the picture's landmarks, the hand
-gets its place in space. What it gets no better than MediaPipe guesses it is its distance, and its
-size, which breathes: retargeting lays it on bones of fixed length.
+MediaPipe gives each hand twice: 21 landmarks in the image, and 21 points in meters about the hand's
+center. The hand is placed in front of the camera so that the points project onto the image's
+landmarks. Its distance and size are only as good as MediaPipe's estimate, and the size fluctuates;
+retargeting therefore uses bones of fixed length.
 """
 
 from __future__ import annotations
@@ -21,40 +21,41 @@ from ..protocol.joints import ALL_JOINTS, FINGERS, JOINT_COUNT, PALM, SIDES, WRI
 from ..protocol.packet import HandFrame
 
 _LANDMARKS = [WRIST, *(joint for finger in FINGERS for joint in finger[-4:])]
-_GUESSED = sum(1 << joint for joint in (PALM, *(finger[0] for finger in FINGERS[1:])))
+_INFERRED = sum(1 << joint for joint in (PALM, *(finger[0] for finger in FINGERS[1:])))
+"""Bits of the joints that MediaPipe does not detect."""
 FIELD_OF_VIEW = 65.0
-"""Across the picture [degrees]: that of most webcams."""
+"""Horizontal field of view of most webcams [degrees]."""
 
-# The camera looks at the person: its right is the person's left, its depth the way to the person.
-_PERSON_FROM_CAMERA = np.array([-1.0, -1.0, 1.0])
+# The camera faces the user: its X points to the user's left, its Y down, its Z to the user.
+_USER_FROM_CAMERA = np.array([-1.0, -1.0, 1.0])
 
 
 class MediapipeHands:
-    """Turns the worker's lines into hands. Nothing is raised: what is no hand is counted."""
+    """Converts the worker's lines to hands. Invalid lines and hands are counted, not raised."""
 
     def __init__(self, *, field_of_view: float = FIELD_OF_VIEW, mirrored: bool = False) -> None:
         """Set up for a camera.
 
         Args:
-            field_of_view: Across the picture [degrees].
-            mirrored: Whether the pictures are mirrored, as some cameras' drivers do.
+            field_of_view: Horizontal field of view [degrees].
+            mirrored: Whether the camera's driver mirrors its images.
         """
         self.rejected = 0
-        """Lines and hands that could not be read."""
+        """Number of lines and hands that could not be read."""
         self.time: int | None = None
-        """Time of the picture that was read last [ns]; None where it was none."""
+        """Time of the last image [ns]; None if its line was invalid."""
         self._slope = 2.0 * math.tan(math.radians(field_of_view) / 2.0)
         self._mirrored = mirrored
 
     def read(self, line: str) -> list[HandFrame]:
-        """The hands in a picture, at most one of each side, the surer one."""
+        """Return the hands in an image: for each side at most one, that of highest confidence."""
         self.time = None
         try:
             record = json.loads(line)
             time, width, height = (int(record[key]) for key in ("time", "width", "height"))
             entries = list(record["hands"])
             if not (0 <= time < 1 << 62 and width > 0 and height > 0):
-                raise ValueError("bad picture")
+                raise ValueError("bad image")
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             self.rejected += 1
             return []
@@ -81,37 +82,37 @@ class MediapipeHands:
         if np.abs(image).max() > 10.0 or np.abs(world).max() > 1.0:
             raise SkeletonError("values that no hand has")
         if self._mirrored:
-            # In a mirrored picture MediaPipe takes each hand for the other.
+            # In a mirrored image MediaPipe mistakes each hand for the other.
             side = SIDES[1 - SIDES.index(side)]
             image = image * [-1.0, 1.0] + [1.0, 0.0]
             world = world * [-1.0, 1.0, 1.0]
         rays = (image - 0.5) * [self._slope, self._slope * aspect]
         points = np.full((JOINT_COUNT, 3), np.nan)
-        points[_LANDMARKS] = (world + _placed(world, rays)) * _PERSON_FROM_CAMERA
+        points[_LANDMARKS] = (world + _fitted_center(world, rays)) * _USER_FROM_CAMERA
         return HandFrame(
             side=side,
             source_time=time,
             source="mediapipe",
             confidence=min(1.0, max(0.0, float(entry["score"]))),
-            tracked=ALL_JOINTS & ~_GUESSED,
+            tracked=ALL_JOINTS & ~_INFERRED,
             joints=complete_hand(points, side),
         )
 
 
-def _placed(world: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where a hand is so that each point lies on its ray, as nearly as can be [m], shape [3].
+def _fitted_center(world: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The hand's center for which its points best fit their rays (least squares) [m], shape [3].
 
     Args:
-        world: Points about the hand's middle [m], shape [N, 3]; Z away from the camera.
-        rays: Slopes of the ray through each point in the picture, shape [N, 2].
+        world: Points about the hand's center [m], shape [N, 3]; Z points away from the camera.
+        rays: Slopes of the ray through each landmark in the image, shape [N, 2].
     """
-    # (x + tx) = u (z + tz) for each coordinate: linear in the shift.
+    # x + tx = u (z + tz), and likewise for y: linear in the center t.
     count = len(world)
     matrix = np.zeros((2 * count, 3))
     matrix[:count, 0] = matrix[count:, 1] = 1.0
     matrix[:, 2] = -rays.T.ravel()
     right = (rays * world[:, 2:] - world[:, :2]).T.ravel()
-    shift = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    if not (np.isfinite(shift).all() and 0.05 < shift[2] < 5.0):
+    center = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if not (np.isfinite(center).all() and 0.05 < center[2] < 5.0):
         raise SkeletonError("the hand is not in front of the camera")
-    return shift
+    return center

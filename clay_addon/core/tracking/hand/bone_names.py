@@ -1,37 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which bone of a rig is which joint: OpenXR's, WebXR's and the usual animation rigs' names."""
+"""Identifies joints and side of a hand by bone names as in OpenXR, WebXR, Rigify and Mixamo."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
 
-from ..protocol.joints import FINGERS, PALM, WRIST
+from .....solver.hand.bone_names import FINGER_WORDS
+from .....solver.hand.proportions import SEGMENTS, THUMB_SEGMENTS
+from ..protocol.joints import FINGERS, PALM, SIDES, WRIST
 
-_FINGER_WORDS = {
-    "thumb": 0,
-    "index": 1,
-    "middle": 2,
-    "mid": 2,
-    "ring": 3,
-    "little": 4,
-    "pinky": 4,
-    "pinkie": 4,
-}
-_SEGMENTS = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 _SEGMENT_WORDS = {
-    "metacarpal": "metacarpal",
+    **{segment: segment for segment in SEGMENTS},
     "carpal": "metacarpal",
     "palm": "metacarpal",
-    "proximal": "proximal",
     "knuckle": "proximal",
-    "intermediate": "intermediate",
     "middlephalanx": "intermediate",
-    "distal": "distal",
-    "tip": "tip",
     "end": "tip",
 }
-_NOISE = frozenset(
+_FILLER_WORDS = frozenset(
     [
         "xr",
         "ext",
@@ -51,17 +38,16 @@ _NOISE = frozenset(
         "mixamorig",
     ]
 )
-_SIDE_WORDS = {"l": "left", "left": "left", "r": "right", "right": "right"}
 
 
 def joints_of_bones(names: Iterable[str]) -> dict[str, int]:
-    """Tell which joint each bone is.
+    """Find the joint that each bone represents.
 
     Args:
-        names: The rig's bones, in its order; of several that could be one joint the first is it.
+        names: Bone names in the rig's order. If several match a joint, the first is used.
 
     Returns:
-        The joint's number for each bone that is one.
+        Joint index of each bone that is a joint of a hand.
     """
     joints: dict[str, int] = {}
     for name in names:
@@ -71,20 +57,33 @@ def joints_of_bones(names: Iterable[str]) -> dict[str, int]:
     return joints
 
 
-def side_of_bones(names: Iterable[str]) -> str:
-    """The side that bones are named after, as in ``hand.L``; empty where none is."""
-    votes = {"left": 0, "right": 0}
+def side_of_rig(rig_name: str, bone_names: Iterable[str]) -> str:
+    """The side that a rig's name, or else most of its bones' names, contain.
+
+    Args:
+        rig_name: Name of the rig, such as ``Hand.L``, ``l_hand`` or ``lefthand``.
+        bone_names: Names of its bones, such as ``LeftHandIndex1``.
+
+    Returns:
+        Left or right; empty if the names are ambiguous.
+    """
+    return _side_of_names([rig_name]) or _side_of_names(bone_names)
+
+
+def _side_of_names(names: Iterable[str]) -> str:
+    votes = dict.fromkeys(SIDES, 0)
     for name in names:
         for word in _words(name):
-            if word in _SIDE_WORDS:
-                votes[_SIDE_WORDS[word]] += 1
+            for side in SIDES:
+                if word == side[0] or word.startswith(side):
+                    votes[side] += 1
     if votes["left"] == votes["right"]:
         return ""
-    return max(votes, key=lambda side: votes[side])
+    return max(SIDES, key=lambda side: votes[side])
 
 
 def _words(name: str) -> list[str]:
-    """Lower-case words and numbers of a name, also of one in CamelCase."""
+    """Split a name, which may be in CamelCase, into lower-case words and numbers."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])", " ", name)
     return [word.lower() for word in re.split(r"[^A-Za-z0-9]+", spaced) if word]
 
@@ -93,9 +92,9 @@ def _joint(name: str) -> int | None:
     words = _words(name)
     number = next((int(word) for word in words if word.isdigit()), None)
     kinds = [word for word in words if not word.isdigit()]
-    finger = next((_FINGER_WORDS[word] for word in kinds if word in _FINGER_WORDS), None)
+    finger = next((FINGER_WORDS[word] for word in kinds if word in FINGER_WORDS), None)
     if finger is None:
-        rest = [word for word in kinds if word not in _NOISE]
+        rest = [word for word in kinds if word not in _FILLER_WORDS]
         if rest == ["wrist"] or (not rest and "hand" in kinds and number in (None, 0)):
             return WRIST
         if rest == ["palm"] and number is None:
@@ -104,13 +103,10 @@ def _joint(name: str) -> int | None:
     segment = next((_SEGMENT_WORDS[word] for word in kinds if word in _SEGMENT_WORDS), None)
     chain = FINGERS[finger]
     if segment is not None:
-        if finger == 0:
-            # The thumb has no intermediate bone.
-            names = ("metacarpal", "proximal", "distal", "tip")
-            return chain[names.index(segment)] if segment in names else None
-        return chain[_SEGMENTS.index(segment)]
+        segments = SEGMENTS if finger else THUMB_SEGMENTS
+        return chain[segments.index(segment)] if segment in segments else None
     if number is None or not 0 <= number <= 4:
         return None
-    # Numbered bones begin at the thumb's metacarpal, and at the other fingers' proximal bones.
-    place = number if finger else number - 1
-    return chain[place] if 0 <= place < len(chain) else None
+    # Numbers start at 1 with the thumb's metacarpal, and with the other fingers' proximal bones.
+    index = number if finger else number - 1
+    return chain[index] if 0 <= index < len(chain) else None

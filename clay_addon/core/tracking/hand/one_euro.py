@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 1€ filter: smooth where the hand rests, quick where it moves.
+"""The 1€ filter: strong smoothing at rest, little delay in motion.
 
 After Casiez, Roussel and Vogel, "1€ Filter: A Simple Speed-based Low-pass Filter for Noisy Input in
-Interactive Systems", CHI 2012 (10.1145/2207676.2208639). A joint's speed, not that of each axis,
-sets its cut-off, so that the result does not depend on how the axes lie; orientations are filtered
-by spherical interpolation with their angular speed.
+Interactive Systems", CHI 2012 (10.1145/2207676.2208639). The cut-off depends on a joint's speed
+rather than on the speed along each axis, so that the result does not depend on the choice of axes.
+Orientations are filtered by spherical interpolation, with a cut-off from their angular speed.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothing:
-    """How strongly a tracker's hands are filtered."""
+    """Filter parameters for one kind of tracker."""
 
     cutoff: float
-    """Cut-off of a joint at rest [Hz]."""
+    """Cut-off frequency of a joint at rest [Hz]."""
     speed_slope: float
-    """How much a joint's speed raises that [Hz per m/s]."""
+    """Increase of the position's cut-off with the joint's speed [Hz per m/s]."""
     turn_slope: float
-    """How much its angular speed raises that of its orientation [Hz per rad/s]."""
+    """Increase of the orientation's cut-off with the joint's angular speed [Hz per rad/s]."""
 
 
 SMOOTHING: Mapping[str, Smoothing] = MappingProxyType(
@@ -43,73 +43,74 @@ SMOOTHING: Mapping[str, Smoothing] = MappingProxyType(
         "openxr": Smoothing(cutoff=1.5, speed_slope=40.0, turn_slope=4.0),
     }
 )
-"""Strength for each kind of tracker."""
+"""Parameters for each kind of tracker."""
 
 _SPEED_CUTOFF = 1.0
-"""Cut-off of the speed itself [Hz], the paper's choice."""
+"""Cut-off of the low-pass on speeds [Hz], as in the paper."""
 
 
 def smoothing_share(cutoff: ArrayLike, step: float) -> Array:
-    """Share of a new value that a first-order low-pass takes in.
+    """Weight of the new value in a first-order low-pass.
 
     Args:
-        cutoff: Cut-off [Hz].
+        cutoff: Cut-off frequency [Hz].
         step: Time since the last value [s].
     """
-    turn = 2.0 * math.pi * np.asarray(cutoff, np.float64) * step
-    return turn / (turn + 1.0)
+    phase = 2.0 * math.pi * np.asarray(cutoff, np.float64) * step
+    return phase / (phase + 1.0)
 
 
 class HandFilter:
     """Filters the joints of one hand.
 
-    Limitations: it adds delay, at rest up to 1 / (2 pi cutoff), some 80 ms at 2 Hz; in motion a few
-    milliseconds. A frame whose time does not advance changes nothing.
+    Limitations: it adds delay, up to 1 / (2 pi cutoff) at rest (80 ms at 2 Hz) and a few
+    milliseconds in motion. A frame whose time does not advance is ignored.
     """
 
     def __init__(self) -> None:
         self._time: int | None = None
-        self._positions = self._seen_positions = self._velocities = np.empty(0)
-        self._quaternions = self._seen_quaternions = self._turning = np.empty(0)
+        self._positions = self._raw_positions = self._velocities = np.empty(0)
+        self._quaternions = self._raw_quaternions = self._angular_speeds = np.empty(0)
 
     def reset(self) -> None:
-        """Forget the past: the next frame is taken as it is."""
+        """Clear the history; the next frame passes unfiltered."""
         self._time = None
 
     def __call__(
         self, time: int, positions: ArrayLike, quaternions: ArrayLike, smoothing: Smoothing
     ) -> tuple[Array, Array]:
-        """Take in a frame.
+        """Filter a frame.
 
         Args:
-            time: When it was seen [ns].
-            positions: Of each joint [m], shape [N, 3].
-            quaternions: Of each joint (x, y, z, w), shape [N, 4].
-            smoothing: How strongly to filter.
+            time: When the hand was seen [ns].
+            positions: Position of each joint [m], shape [N, 3].
+            quaternions: Orientation of each joint (x, y, z, w), shape [N, 4].
+            smoothing: Filter parameters.
 
         Returns:
-            The filtered positions and quaternions, of the same shapes.
+            The filtered positions and quaternions, with the same shapes.
         """
         positions = np.asarray(positions, np.float64)
         quaternions = np.asarray(quaternions, np.float64)
         if self._time is None:
             self._positions, self._quaternions = positions, quaternions
             self._velocities = np.zeros_like(positions)
-            self._turning = np.zeros(len(quaternions))
+            self._angular_speeds = np.zeros(len(quaternions))
         elif time > self._time:
             step = (time - self._time) * 1e-9
             blend = float(smoothing_share(_SPEED_CUTOFF, step))
-            change = (positions - self._seen_positions) / step
-            self._velocities = self._velocities + blend * (change - self._velocities)
-            speed = np.linalg.norm(self._velocities, axis=1)
-            share = smoothing_share(smoothing.cutoff + smoothing.speed_slope * speed, step)
+            velocities = (positions - self._raw_positions) / step
+            self._velocities = self._velocities + blend * (velocities - self._velocities)
+            speeds = np.linalg.norm(self._velocities, axis=1)
+            share = smoothing_share(smoothing.cutoff + smoothing.speed_slope * speeds, step)
             self._positions = self._positions + share[:, None] * (positions - self._positions)
-            turning = angles_between(self._seen_quaternions, quaternions) / step
-            self._turning = self._turning + blend * (turning - self._turning)
-            share = smoothing_share(smoothing.cutoff + smoothing.turn_slope * self._turning, step)
+            turning = angles_between(self._raw_quaternions, quaternions) / step
+            speeds = self._angular_speeds + blend * (turning - self._angular_speeds)
+            share = smoothing_share(smoothing.cutoff + smoothing.turn_slope * speeds, step)
             self._quaternions = slerp(self._quaternions, quaternions, share)
+            self._angular_speeds = speeds
         else:
             return self._positions, self._quaternions
         self._time = time
-        self._seen_positions, self._seen_quaternions = positions, quaternions
+        self._raw_positions, self._raw_quaternions = positions, quaternions
         return self._positions, self._quaternions

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lays a tracked hand on the bones of a rig, whose lengths stay what they are.
+"""Retargets a tracked hand to the bones of a rig, keeping the rig's bone lengths.
 
-Each joint's orientation is taken as it is, absolute; positions follow from the rig's own bones. A
-tracker whose bones breathe, or a person whose hand is of another size, moves the rig without
-stretching it. Where the sizes differ, the palms lie on each other.
+Joint orientations are copied in world space; positions follow from the rig's own bones. Trackers
+whose bone lengths fluctuate, and hands of another size, thus move the rig without stretching it.
+Where the sizes differ, the palms are aligned.
 """
 
 from __future__ import annotations
@@ -31,43 +31,43 @@ from .bone_names import joints_of_bones
 Array = NDArray[np.float64]
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Turns the trackers' Y-up space to Blender's Z-up one."""
-_MIN_AGREEMENT, _MIN_UPRIGHT = 0.8, 0.5
-"""A rig's axes are OpenXR's from these cosines on: of its bones with their -Z, and of its wrist's Y
-with the back of the hand."""
+"""Rotates the trackers' Y-up space into Blender's Z-up space."""
+_MIN_BONE_COSINE, _MIN_BACK_COSINE = 0.8, 0.5
+"""A rig is taken to have OpenXR's axes above these cosines: between its bones and their -Z, and
+between its wrist's Y and the normal of the back of the hand."""
 
 
 class RetargetError(TactileClayError, ValueError):
-    """A rig cannot take a tracked hand; the message says why and what to do."""
+    """A rig cannot follow a tracked hand; the message says why and what to do."""
 
 
 class HandTarget:
-    """A rig that tracked hands can be laid on.
+    """A rig that tracked hands are retargeted to.
 
-    Bones may be parentless or not, named as in OpenXR, WebXR or the usual animation rigs, and have
-    any axes: where those are not OpenXR's, they are seen to from how the bones lie at rest.
+    Bones may have parents or not, be named as in OpenXR, WebXR or common animation rigs, and have
+    any axes: if these are not OpenXR's, the joints' axes are derived from the rest pose.
 
     Example:
         target = HandTarget({"wrist": np.eye(4), ...}, "right")
         matrices = target.posed(hand.positions, hand.quaternions, hand.valid)
 
-    Limitations: bones that are no joint of the hand are left alone. Scale in the rest matrices is
-    kept; shear is not foreseen.
+    Limitations: bones that are not joints of a hand are not posed. Scale in the rest matrices is
+    kept; shear is not supported.
     """
 
     def __init__(self, bones: Mapping[str, ArrayLike], side: str) -> None:
-        """Look at a rig.
+        """Analyze a rig.
 
         Args:
-            bones: World from each bone's own coordinates at rest [m], shape [4, 4], Z up.
+            bones: Rest matrix of each bone by name, bone to world [m], shape [4, 4], Z up.
             side: Left or right.
 
         Raises:
-            RetargetError: It has no wrist, no finger, or two bones on one spot.
+            RetargetError: It has no wrist, no fingers, or two joints at the same position.
         """
         self.side = side
         self.joints = joints_of_bones(bones)
-        """Number of the joint that each bone is, for bones that are one."""
+        """Joint index of each bone that is a joint of the hand."""
         self._rest = {name: np.asarray(bones[name], np.float64) for name in self.joints}
         bone_of = {joint: name for name, joint in self.joints.items()}
         if WRIST not in bone_of:
@@ -78,14 +78,16 @@ class HandTarget:
         whole = [name for finger in FINGERS for name in finger if name in bone_of]
         if len(whole) < 2:
             raise RetargetError(
-                "The rig has no finger bones with names that are known, such as 'index_proximal' "
-                f"or 'index-finger-phalanx-proximal'; its bones are {_listed(bones)}."
+                "The rig has no finger bones with familiar names, such as 'index_proximal' or "
+                f"'index-finger-phalanx-proximal'; its bones are {_listed(bones)}."
             )
         for name, matrix in self._rest.items():
             if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3])) < 1e-12:
-                raise RetargetError(f"The bone {name!r} has no size or is not finite.")
+                raise RetargetError(
+                    f"The rest matrix of bone {name!r} is not finite, or its scale is zero."
+                )
         self._heads = {joint: self._rest[name][:3, 3] for joint, name in bone_of.items()}
-        self._parents = {joint: self._carrier(joint) for joint in self._heads}
+        self._parents = {joint: self._parent_joint(joint) for joint in self._heads}
         axes = self._joint_axes()
         self._offsets = {
             joint: axes[parent].T @ (self._heads[joint] - self._heads[parent])
@@ -97,20 +99,19 @@ class HandTarget:
     def posed(
         self, positions: ArrayLike, quaternions: ArrayLike, valid: ArrayLike | None = None
     ) -> dict[str, Array]:
-        """Where the bones are for a tracked hand.
+        """Pose the bones like a tracked hand.
 
         Args:
             positions: Position of each joint [m], Y up, shape [26, 3].
             quaternions: Orientation of each joint (x, y, z, w), shape [26, 4].
-            valid: Which joints may be used, all by default; the others follow what carries them,
-                as at rest; shape [26].
+            valid: Which joints may be used, shape [26]; all by default. The others follow their
+                parents rigidly.
 
         Returns:
-            World from each bone's own coordinates [m], Z up, shape [4, 4], for each bone that is
-            a joint.
+            Matrix of each bone that is a joint, by name, bone to world [m], Z up, shape [4, 4].
         """
         points = np.asarray(positions, np.float64) @ Z_UP.T
-        turns = Z_UP @ matrices_from_quaternions(quaternions)
+        tracked = Z_UP @ matrices_from_quaternions(quaternions)
         usable = np.ones(JOINT_COUNT, bool) if valid is None else np.asarray(valid, bool)
         rotations: dict[int, Array] = {}
         heads: dict[int, Array] = {}
@@ -119,7 +120,7 @@ class HandTarget:
                 continue
             parent = self._parents[joint]
             if usable[joint] or parent < 0:
-                rotations[joint] = turns[joint]
+                rotations[joint] = tracked[joint]
             else:
                 rotations[joint] = rotations[parent] @ self._axes[parent].T @ self._axes[joint]
             heads[joint] = (
@@ -137,7 +138,7 @@ class HandTarget:
             result[name] = matrix
         return result
 
-    def _carrier(self, joint: int) -> int:
+    def _parent_joint(self, joint: int) -> int:
         """The nearest joint towards the wrist that has a bone; -1 for the wrist."""
         parent = PARENTS[joint]
         while parent >= 0 and parent not in self._heads:
@@ -145,7 +146,7 @@ class HandTarget:
         return parent
 
     def _joint_axes(self) -> dict[int, Array]:
-        """OpenXR's axes of each joint as the rig is at rest, as columns, shape [3, 3]."""
+        """OpenXR's axes of each joint in the rest pose, as columns, shape [3, 3]."""
         axes = {}
         for name, joint in self.joints.items():
             linear = self._rest[name][:3, :3]
@@ -153,7 +154,7 @@ class HandTarget:
         return axes if self._are_openxr(axes) else self._derived_axes()
 
     def _are_openxr(self, axes: Mapping[int, Array]) -> bool:
-        """Whether -Z runs along the finger bones, and Y out of the back of the hand."""
+        """Whether -Z points along the finger bones and Y out of the back of the hand."""
         cosines = []
         for finger in FINGERS:
             for joint, following in pairwise(finger):
@@ -162,11 +163,11 @@ class HandTarget:
                     length = max(float(np.linalg.norm(bone)), 1e-9)
                     cosines.append(float(-axes[joint][:, 2] @ bone) / length)
         palm = self._palm_axes()
-        upright = palm is None or float(axes[WRIST][:, 1] @ palm[:, 1]) > _MIN_UPRIGHT
-        return upright and bool(cosines) and float(np.mean(cosines)) >= _MIN_AGREEMENT
+        upright = palm is None or float(axes[WRIST][:, 1] @ palm[:, 1]) > _MIN_BACK_COSINE
+        return upright and bool(cosines) and float(np.mean(cosines)) >= _MIN_BONE_COSINE
 
     def _palm_axes(self) -> Array | None:
-        """Axes of the palm from how the knuckles lie about the wrist; None without knuckles."""
+        """Axes of the palm, from wrist and knuckles; None with fewer than two knuckles."""
         anchors = [joint for joint in (WRIST, *KNUCKLES, FINGERS[0][0]) if joint in self._heads]
         if sum(joint in self._heads for joint in KNUCKLES) < 2:
             return None
@@ -177,8 +178,8 @@ class HandTarget:
         palm = self._palm_axes()
         if palm is None:
             raise RetargetError(
-                "The rig's bones have axes of their own and it has less than two knuckles, so that "
-                "its palm cannot be told. Give it bones for the fingers' proximal joints."
+                "The rig's bones do not have OpenXR's axes, and without two knuckles the "
+                "orientation of its palm is unknown. Add bones for the fingers' proximal joints."
             )
         axes = {WRIST: palm}
         reference = reference_hand(self.side).rotations
@@ -192,12 +193,13 @@ class HandTarget:
                 bone = self._heads[following] - self._heads[joint]
                 length = float(np.linalg.norm(bone))
                 if length < 1e-6:
-                    raise RetargetError("Two finger joints of the rig lie on one spot.")
+                    raise RetargetError("Two finger joints of the rig are at the same position.")
                 guess = shortest_turn(-guess[:, 2], bone / length) @ guess
             axes[joint] = guess
         return axes
 
     def _following(self, joint: int) -> int | None:
+        """The next joint towards the fingertip that has a bone."""
         for finger in FINGERS:
             if joint in finger:
                 later = [each for each in finger[finger.index(joint) + 1 :] if each in self._heads]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Joints, the datagram that carries them, and its receiver."""
+"""The joints of a hand, the datagram that carries them, and its receiver."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which datagrams of one hand are news: neither old, nor double, nor another sender's.
+"""Accepts the new datagrams of one hand: no old ones, duplicates, or ones of a second sender.
 
-Also how late each is. A receiver that stalls finds old datagrams waiting for it, and would take a
-hand for live that was seen seconds ago. So the least delay between a sender's clock and this one is
-kept, and what a datagram is later than that counts as its age.
+Also estimates the age of each. A receiver that stalls finds old datagrams in its queue, and would
+show a hand as live that was seen seconds ago. The smallest delay between the sender's clock and
+this one is therefore tracked, and any delay beyond it counts as the datagram's age.
 """
 
 from __future__ import annotations
@@ -13,38 +13,39 @@ from collections.abc import Hashable
 from .packet import HandFrame
 
 SILENCE = 200_000_000
-"""After so long without news [ns] another sender may take over, or a clock be set back."""
+"""After this time without a new frame, another sender or a clock set back is accepted [ns]."""
 _RESTART_RUN = 5
-"""So many frames in a row, all old, are a sender that started anew."""
+"""Number of consecutive old frames that mean that the sender has restarted."""
 _WINDOW = 5_000_000_000
-"""The least delay is that of the last one to two windows of this length [ns]: clocks drift."""
+"""The smallest delay is taken over the last one to two windows of this length [ns], because clocks
+drift."""
 
 
 class FrameOrder:
-    """Lets the news of one hand through, by sequence and source time."""
+    """Accepts the new frames of one hand, by sequence number and source time."""
 
     def __init__(self) -> None:
         self._sender: Hashable = None
         self._newest: HandFrame | None = None
         self._arrived = 0
         self._run: list[HandFrame] = []
-        self._delay = _LeastDelay()
+        self._delay = _MinDelay()
 
     @property
     def delay(self) -> int:
-        """By how much the newest frame's arrival came after its source time [ns]."""
+        """Time from the newest frame's source time to its arrival [ns]."""
         return self._arrived - self._newest.source_time if self._newest else 0
 
     def accept(self, frame: HandFrame, sender: Hashable, now: int) -> int | None:
-        """Decide about a frame.
+        """Accept a frame or not.
 
         Args:
-            frame: What arrived.
-            sender: Who sent it, such as an address.
+            frame: The frame that arrived.
+            sender: Identifies its sender, such as an address.
             now: When it arrived [ns].
 
         Returns:
-            When the hand was seen, on the clock of ``now`` [ns]; None for a frame to be dropped.
+            When the hand was seen, on the clock of ``now`` [ns]; None if the frame is rejected.
         """
         newest = self._newest
         if newest is None:
@@ -57,7 +58,7 @@ class FrameOrder:
         if ahead and frame.source_time >= newest.source_time:
             return self._take(frame, now)
         if ahead != later and (later or silent):
-            # Counting anew, or on a clock set back.
+            # The sender's sequence restarted, or its clock was set back.
             return self._start(frame, sender, now)
         if not ahead and not later and silent and self._is_restart(frame):
             return self._start(frame, sender, now)
@@ -75,7 +76,7 @@ class FrameOrder:
 
     def _start(self, frame: HandFrame, sender: Hashable, now: int) -> int:
         self._sender = sender
-        self._delay = _LeastDelay()
+        self._delay = _MinDelay()
         return self._take(frame, now)
 
     def _take(self, frame: HandFrame, now: int) -> int:
@@ -85,17 +86,17 @@ class FrameOrder:
         return now - (delay - self._delay.including(delay, now))
 
 
-class _LeastDelay:
-    """The least of the delays of the last while."""
+class _MinDelay:
+    """The smallest delay of the last one to two windows."""
 
     def __init__(self) -> None:
-        self._since = 0
-        self._before: int | None = None
-        self._least: int | None = None
+        self._start = 0
+        self._previous: int | None = None
+        self._current: int | None = None
 
     def including(self, delay: int, now: int) -> int:
-        """Take in a delay, and return the least [ns]."""
-        if self._least is None or now - self._since > _WINDOW:
-            self._before, self._least, self._since = self._least, delay, now
-        self._least = min(self._least, delay)
-        return self._least if self._before is None else min(self._least, self._before)
+        """Add a delay, and return the smallest [ns]."""
+        if self._current is None or now - self._start > _WINDOW:
+            self._previous, self._current, self._start = self._current, delay, now
+        self._current = min(self._current, delay)
+        return self._current if self._previous is None else min(self._current, self._previous)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 26 joints of OpenXR's XR_EXT_hand_tracking, in its order, and a reference hand of them.
+"""The 26 joints of OpenXR's XR_EXT_hand_tracking, in its order, and a reference hand.
 
 Axes are OpenXR's: a joint's -Z points along its bone towards the fingertip, its Y out of the back
-of the hand (of the nail), X to the right. Positions are of the right-handed, Y-up tracking space.
+of the hand (or the nail), its X to the right. Tracking space is right-handed, with Y up.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ JOINT_COUNT = 26
 PALM = 0
 WRIST = 1
 SIDES = ("left", "right")
-"""The sides, at their numbers in a datagram."""
+"""The sides; the index of each is its code in a datagram."""
 
 FINGERS: tuple[tuple[int, ...], ...] = (
     (2, 3, 4, 5),
@@ -46,16 +46,16 @@ FINGERS: tuple[tuple[int, ...], ...] = (
     (16, 17, 18, 19, 20),
     (21, 22, 23, 24, 25),
 )
-"""Joints of each finger from its metacarpal to its tip, the thumb first."""
+"""Joints of each finger from the metacarpal to the tip, starting with the thumb."""
 
 KNUCKLES = (7, 12, 17, 22)
-"""Where the four fingers begin to bend."""
+"""Proximal joints of the four fingers."""
 
 PALM_JOINTS = (WRIST, *KNUCKLES)
-"""Joints that keep their distances to each other, whatever the fingers do."""
+"""Joints whose mutual distances hardly change when fingers move."""
 
 ALL_JOINTS = (1 << JOINT_COUNT) - 1
-"""A bit for each joint."""
+"""Mask with a bit for each joint."""
 
 
 def _parents() -> tuple[int, ...]:
@@ -68,14 +68,14 @@ def _parents() -> tuple[int, ...]:
 
 
 PARENTS = _parents()
-"""The joint that carries each joint; -1 for the wrist."""
+"""The parent of each joint; -1 for the wrist."""
 
 FROM_ROOT = (WRIST, PALM, *(joint for finger in FINGERS for joint in finger))
-"""All joints, each after the one that carries it."""
+"""All joints, parents before children."""
 
 
 class ReferenceHand(NamedTuple):
-    """A flat hand with its wrist at the origin and OpenXR's axes: fingers to -Z, back to +Y."""
+    """A flat hand with its wrist at the origin; fingers point to -Z, the back of the hand to +Y."""
 
     positions: NDArray[np.float64]
     """Position of each joint [m], shape [26, 3]."""
@@ -87,13 +87,13 @@ class ReferenceHand(NamedTuple):
 
 @cache
 def reference_hand(side: str) -> ReferenceHand:
-    """The generated hand's joints, laid out in OpenXR's axes.
+    """The joints of the default hand, in OpenXR's axes.
 
     Raises:
         ValueError: The side is neither left nor right.
     """
     shape = hand_shape(side)
-    # The generated hand points to +Y with its back to +Z.
+    # The default hand's fingers point to +Y, its back to +Z.
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
     positions = np.array([turn @ shape.joints[name] for name in JOINT_NAMES])
     rotations = np.array([turn @ shape.axes[name] @ turn.T for name in JOINT_NAMES])

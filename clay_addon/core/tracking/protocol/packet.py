@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The datagram that every tracker's sender sends: one hand at one moment, 864 bytes.
+"""The datagram that senders send: one hand at one time, 864 bytes.
 
-Little-endian, without gaps:
+Little-endian, without padding:
 
 | bytes | field | type |
 |---|---|---|
 | 0 | magic, ``TCHF`` | 4 bytes |
 | 4 | version, 1 | uint8 |
-| 5 | what kind of tracker saw it, see `SOURCES` | uint8 |
+| 5 | kind of tracker, an index into `SOURCES` | uint8 |
 | 6 | side: 0 left, 1 right | uint8 |
-| 7 | active: 0 no hand in view, 1 a hand | uint8 |
-| 8 | sequence: counts the sender's frames, wraps | uint32 |
+| 7 | active: 1 if a hand is in view, otherwise 0 | uint8 |
+| 8 | sequence: number of the sender's frame, wraps around | uint32 |
 | 12 | source time: when the hand was seen [ns], the sender's ``time.perf_counter_ns`` | int64 |
 | 20 | confidence, 0 to 1 | float32 |
 | 24 | valid: a bit for each joint whose pose may be used | uint32 |
-| 28 | tracked: a bit for each joint that was seen, not guessed | uint32 |
+| 28 | tracked: a bit for each joint that was observed rather than inferred | uint32 |
 | 32 | 26 joints: position [m], quaternion x y z w, radius [m] | 26 × 8 float32 |
 
-Joints are those of OpenXR's XR_EXT_hand_tracking, in its order and with its axes; the space is
-right-handed with Y up and its origin at the tracker.
+Joints are those of OpenXR's XR_EXT_hand_tracking, in its order and with its axes. Tracking space is
+right-handed with Y up and the tracker at the origin.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from .joints import ALL_JOINTS, JOINT_COUNT, SIDES, WRIST
 MAGIC = b"TCHF"
 VERSION = 1
 PORT = 47121
-"""The port on loopback that the receiver listens on unless told otherwise."""
+"""Default port on loopback."""
 SOURCES = ("unknown", "leap", "mediapipe", "hts", "openxr")
-"""Kinds of tracker, at their numbers in a datagram; others count as unknown."""
+"""Kinds of tracker; the index of each is its code in a datagram. Other codes mean unknown."""
 
 _HEADER = struct.Struct("<4sBBBBIqfII")
 PACKET_SIZE = _HEADER.size + JOINT_COUNT * 8 * 4
-_FARTHEST = 100.0
-_THICKEST = 0.2
-_LATEST = 1 << 62
+_MAX_COORDINATE = 100.0
+_MAX_RADIUS = 0.2
+_MAX_TIME = 1 << 62
 
 
 class PacketError(TactileClayError, ValueError):
-    """A datagram is not a hand; the message says why."""
+    """A datagram is not a valid hand; the message says why."""
 
 
 def _no_joints() -> NDArray[np.float32]:
@@ -58,24 +58,24 @@ def _no_joints() -> NDArray[np.float32]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HandFrame:
-    """One hand at one moment."""
+    """One hand at one time."""
 
     side: str
     """Left or right."""
     source_time: int
     """When the hand was seen [ns], on the sender's clock."""
     sequence: int = 0
-    """Counts the sender's frames; wraps at 2^32."""
+    """Number of the sender's frame; wraps around at 2^32."""
     source: str = "unknown"
     """A name in `SOURCES`."""
     active: bool = True
-    """Whether there is a hand; where not, the joints say nothing."""
+    """Whether a hand is in view; if not, the joints are meaningless."""
     confidence: float = 1.0
-    """How sure the tracker is, 0 to 1."""
+    """The tracker's confidence, 0 to 1."""
     valid: int = ALL_JOINTS
     """A bit for each joint whose pose may be used."""
     tracked: int = ALL_JOINTS
-    """A bit for each joint that was seen, not guessed."""
+    """A bit for each joint that was observed rather than inferred."""
     joints: NDArray[np.float32] = field(default_factory=_no_joints)
     """Position [m], quaternion (x, y, z, w) and radius [m] of each joint, shape [26, 8]."""
 
@@ -96,22 +96,22 @@ class HandFrame:
 
     @property
     def usable(self) -> bool:
-        """Whether a hand can be placed by it."""
+        """Whether there is a hand with a valid wrist."""
         return self.active and bool(self.valid >> WRIST & 1)
 
 
 def joint_array(
     positions: ArrayLike, quaternions: ArrayLike, radii: ArrayLike
 ) -> NDArray[np.float32]:
-    """Put positions [26, 3] [m], quaternions [26, 4] and radii [26] [m] together, [26, 8]."""
+    """Stack positions [m], [26, 3], quaternions, [26, 4], and radii [m], [26], to shape [26, 8]."""
     return np.column_stack([positions, quaternions, radii]).astype(np.float32)
 
 
 def encode(frame: HandFrame) -> bytes:
-    """Write a frame as a datagram.
+    """Encode a frame as a datagram.
 
     Raises:
-        PacketError: The frame holds what no receiver would take; the message says what.
+        PacketError: A receiver would reject the frame; the message says why.
     """
     if frame.side not in SIDES:
         raise PacketError(f"The side must be left or right, not {frame.side!r}.")
@@ -136,10 +136,10 @@ def encode(frame: HandFrame) -> bytes:
 
 
 def decode(data: bytes | bytearray | memoryview) -> HandFrame:
-    """Read a datagram; quaternions are made exactly unit.
+    """Decode a datagram and normalize its quaternions.
 
     Raises:
-        PacketError: It is not a hand of this format, or holds values that no hand has.
+        PacketError: It does not have this format, or its values are implausible.
     """
     if len(data) != PACKET_SIZE:
         raise PacketError("wrong length")
@@ -154,12 +154,12 @@ def decode(data: bytes | bytearray | memoryview) -> HandFrame:
         raise PacketError("bad side")
     if active > 1:
         raise PacketError("bad active flag")
-    if not 0 <= time < _LATEST:
+    if not 0 <= time < _MAX_TIME:
         raise PacketError("bad source time")
     if not 0.0 <= confidence <= 1.0:
         raise PacketError("bad confidence")
     if (valid | tracked) & ~ALL_JOINTS:
-        raise PacketError("bits of joints that are not there")
+        raise PacketError("bits of joints that do not exist")
     joints = np.frombuffer(data, "<f4", offset=_HEADER.size).reshape(JOINT_COUNT, 8)
     return HandFrame(
         side=SIDES[side],
@@ -175,20 +175,20 @@ def decode(data: bytes | bytearray | memoryview) -> HandFrame:
 
 
 def _checked(joints: NDArray[np.float32], valid: int) -> NDArray[np.float32]:
-    """The joints, those not valid put at rest."""
+    """Check joints, normalize their quaternions and reset those that are not valid."""
     if not np.isfinite(joints).all():
         raise PacketError("values that are not finite")
     usable = (valid >> np.arange(JOINT_COUNT) & 1).astype(bool)
     result = joints.astype(np.float32)
     result[~usable] = _no_joints()[~usable]
-    if np.abs(result[:, :3]).max() > _FARTHEST:
+    if np.abs(result[:, :3]).max() > _MAX_COORDINATE:
         raise PacketError("a position too far away")
-    if not (result[:, 7].min() >= 0.0 and result[:, 7].max() <= _THICKEST):
-        raise PacketError("a radius no hand has")
-    # Huge components would overflow in float32.
+    if not (result[:, 7].min() >= 0.0 and result[:, 7].max() <= _MAX_RADIUS):
+        raise PacketError("an implausible radius")
+    # In float64, because the squares of huge components would overflow in float32.
     quaternions = result[:, 3:7].astype(np.float64)
     norms = np.linalg.norm(quaternions, axis=1)
     if np.abs(norms - 1.0).max() > 0.01:
-        raise PacketError("a quaternion that is not unit")
+        raise PacketError("a quaternion that is not normalized")
     result[:, 3:7] = quaternions / norms[:, None]
     return result

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The receiver: takes hands' datagrams from loopback without ever waiting.
+"""Receives datagrams of hands from loopback without blocking.
 
-Whatever arrives, it raises nothing: what is no hand is counted.
+Invalid datagrams are counted, not raised.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from .packet import PACKET_SIZE, PORT, HandFrame, PacketError, decode
 
 LOOPBACK = "127.0.0.1"
 _MAX_AT_ONCE = 1024
-"""Datagrams looked at in one call: a flood must not hold Blender up."""
-_BUFFER = 1 << 20
+"""Number of datagrams processed in one call, so that a flood does not stall Blender."""
+_BUFFER_SIZE = 1 << 20
 _RATE_WINDOW = 1_000_000_000
 
 
 class Arrival(NamedTuple):
-    """A frame that is news."""
+    """A new frame."""
 
     frame: HandFrame
     """The frame."""
@@ -43,8 +43,8 @@ class Receiver:
             for arrival in receiver.drain():
                 print(arrival.frame.side, arrival.frame.positions[1])
 
-    Limitations: what comes faster than it is fetched is dropped by the system, the newest first.
-    Anything on this machine may send to it: it trusts a sender no further than the format goes.
+    Limitations: if datagrams arrive faster than they are fetched, the system drops the newest. Any
+    program on this machine may send; beyond the format nothing about a sender is verified.
     """
 
     def __init__(
@@ -57,69 +57,69 @@ class Receiver:
             clock: The time [ns].
 
         Raises:
-            TrackingError: The port cannot be had.
+            TrackingError: The port cannot be opened.
         """
         self._clock = clock
         self.accepted = 0
-        """Frames that were news."""
+        """Number of new frames."""
         self.dropped = 0
-        """Frames that were old, double, or of a sender beside the one that is listened to."""
+        """Number of frames that were old, duplicates, or from a second sender."""
         self.rejected = 0
-        """Datagrams that are no hand."""
+        """Number of datagrams that are not valid hands."""
         self.reasons: Counter[str] = Counter()
-        """Why datagrams were rejected."""
+        """How many datagrams were rejected for each reason."""
         self._orders = {side: FrameOrder() for side in SIDES}
-        self._hands: dict[str, deque[int]] = {side: deque(maxlen=1024) for side in SIDES}
+        self._arrival_times: dict[str, deque[int]] = {side: deque(maxlen=1024) for side in SIDES}
         self._newest: HandFrame | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
             with contextlib.suppress(OSError):
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_SIZE)
             self._socket.bind((LOOPBACK, port))
         except (OSError, OverflowError) as error:
             self._socket.close()
             if getattr(error, "errno", None) == errno.EADDRINUSE:
                 raise TrackingError(
-                    f"Port {port} is in use: another Blender is tracking. Stop it there, or choose "
-                    "another port here and for the sender (--port)."
+                    f"Port {port} is in use, perhaps by another Blender that is tracking. Stop "
+                    "tracking there, or choose another port here and for the sender (--port)."
                 ) from error
             raise TrackingError(f"Port {port} cannot be opened ({error}).") from error
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """Host and port it listens on."""
         host, port = self._socket.getsockname()
         return host, port
 
     @property
     def source(self) -> str:
-        """The kind of tracker that the newest frame came from; empty before any."""
+        """The kind of tracker that sent the newest frame; empty before the first."""
         return self._newest.source if self._newest else ""
 
     def drain(self) -> list[Arrival]:
-        """Fetch what has arrived, at most 1024 datagrams.
+        """Fetch the datagrams that have arrived, at most 1024.
 
         Returns:
-            The frames that are news, in the order they are to be used in.
+            The new frames, in the order of their arrival.
         """
         arrivals: list[Arrival] = []
         for _ in range(_MAX_AT_ONCE):
             try:
-                # One byte more than a hand has, so that longer datagrams are told from hands.
+                # One byte more than a hand has, so that longer datagrams are detected.
                 data, sender = self._socket.recvfrom(PACKET_SIZE + 1)
             except (BlockingIOError, InterruptedError):
                 break
             except OSError as error:
-                # Windows says so of a datagram longer than the buffer, and of a peer that is gone.
+                # Windows raises this for a datagram longer than the buffer, or if a peer is gone.
                 if error.errno in (errno.EBADF, errno.ENOTSOCK) or self._socket.fileno() < 0:
                     break
                 self._reject("not readable")
                 continue
-            self._sort(data, sender, arrivals)
+            self._process(data, sender, arrivals)
         return arrivals
 
-    def _sort(self, data: bytes, sender: tuple[str, int], arrivals: list[Arrival]) -> None:
+    def _process(self, data: bytes, sender: tuple[str, int], arrivals: list[Arrival]) -> None:
         try:
             frame = decode(data)
         except PacketError as error:
@@ -133,7 +133,7 @@ class Receiver:
         self.accepted += 1
         self._newest = frame
         if frame.active:
-            self._hands[frame.side].append(now)
+            self._arrival_times[frame.side].append(now)
         arrivals.append(Arrival(frame, seen))
 
     def _reject(self, reason: str) -> None:
@@ -141,23 +141,23 @@ class Receiver:
         self.reasons[reason] += 1
 
     def rate(self, side: str) -> float:
-        """Frames of a hand in the last second [1/s]."""
+        """Frame rate of a hand over the last second [1/s]."""
         start = self._clock() - _RATE_WINDOW
-        return float(sum(moment >= start for moment in self._hands[side]))
+        return float(sum(arrived >= start for arrived in self._arrival_times[side]))
 
     def latency(self, side: str) -> float | None:
-        """Delay of a hand's newest frame [s]; None where the sender's clock is not this one's."""
+        """Delay of a hand's newest frame [s]; None if the sender's clock differs from this one."""
         delay = self._orders[side].delay * 1e-9
         return delay if self._newest and 0.0 < delay < 10.0 else None
 
     def close(self) -> None:
-        """Give the port back; a second call does nothing."""
+        """Release the port; a second call does nothing."""
         self._socket.close()
 
     def __enter__(self) -> Receiver:
-        """Use it in a with statement."""
+        """Return the receiver, for use in a with statement."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close it at the end."""
+        """Close the receiver."""
         self.close()

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recordings of hands, and resampling them."""
+"""Recordings of hands, and their resampling."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recordings of hands: JSON lines, one datagram's content a line, after a line that says so.
+"""Recordings of hands: JSON lines, a header and then one datagram's content per line.
 
-While it is written a recording has ``.part`` after its name; it gets its name when it is whole.
-What was written before a crash can be read all the same.
+While being written, a recording's name ends in ``.part``; it is renamed when complete. A recording
+interrupted by a crash can still be read.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Entry(NamedTuple):
     """A frame of a recording."""
 
     time: int
-    """When it arrived, since the first [ns]."""
+    """When it arrived, from the first frame on [ns]."""
     frame: HandFrame
     """The frame."""
 
@@ -40,14 +40,14 @@ class Recorder:
     """Writes a recording while hands arrive."""
 
     def __init__(self, path: Path) -> None:
-        """Begin to write beside a path.
+        """Open the ``.part`` file beside a path and write the header.
 
         Raises:
-            TrackingError: The file cannot be made.
+            TrackingError: The file cannot be created.
         """
         self.path = path
         self.count = 0
-        """Frames written."""
+        """Number of frames written."""
         self._start: int | None = None
         self._time = 0
         self._partial = path.with_name(path.name + ".part")
@@ -61,16 +61,16 @@ class Recorder:
             ) from error
 
     def take(self, frame: HandFrame, time: int) -> None:
-        """Write a frame that arrived at a time [ns].
+        """Write a frame that arrived at ``time`` [ns].
 
         Raises:
-            TrackingError: The file cannot be written any more; what is in it stays.
+            TrackingError: Writing failed; what was written before is kept.
         """
         if self._file is None:
             return
         self._start = time if self._start is None else self._start
-        # When a hand was seen is an estimate, which a better one may set back by a little; the
-        # order of arrival is none.
+        # The time when a hand was seen is an estimate that may step back slightly when it
+        # improves; the order of arrival must not.
         self._time = max(self._time, time - self._start)
         try:
             self._file.write(_line(frame, self._time))
@@ -81,13 +81,13 @@ class Recorder:
             raise self._failed(error) from error
 
     def close(self) -> Path | None:
-        """End the recording and give it its name.
+        """Finish the recording and rename it to its final name.
 
         Returns:
-            Its path; None where nothing was recorded, and nothing stays.
+            Its path; None if nothing was recorded, in which case the file is deleted.
 
         Raises:
-            TrackingError: It could not be written to its end.
+            TrackingError: The recording could not be completed.
         """
         if self._file is None:
             return self.path if self.count else None
@@ -106,21 +106,21 @@ class Recorder:
 
     def _failed(self, error: OSError) -> TrackingError:
         return TrackingError(
-            f"The recording could not be written on ({error.strerror or error}); {self.count} "
-            f"frames are in {self._partial}."
+            f"Recording failed ({error.strerror or error}); {self.count} frames are in "
+            f"{self._partial}."
         )
 
 
 def read_recording(path: Path) -> list[Entry]:
-    """Read a recording, also one that was cut short or compressed, or a Leap recording.
+    """Read a recording, which may be truncated or compressed, or a LeapJS Playback recording.
 
-    Lines that are no hand are left out.
+    Invalid lines are skipped.
 
     Raises:
-        TrackingError: The file cannot be read, or holds no hand.
+        TrackingError: The file cannot be read, or contains no hands.
     """
     if not path.is_file():
-        raise TrackingError(f"There is no recording {path}.")
+        raise TrackingError(f"The recording {path} does not exist.")
     entries: list[Entry] = []
     try:
         lines = _lines(path)
@@ -131,21 +131,21 @@ def read_recording(path: Path) -> list[Entry]:
             if entry is not None:
                 entries.append(entry)
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
-        # A compressed file that was cut short is good up to there.
+        # A truncated compressed file is readable up to the truncation.
         if not entries:
             raise TrackingError(f"{path} cannot be read ({error}).") from error
     if not any(entry.frame.active for entry in entries):
-        raise TrackingError(f"{path} holds no hand.")
+        raise TrackingError(f"{path} contains no hands.")
     entries.sort(key=lambda entry: entry.time)
     first = entries[0].time
     return [Entry(entry.time - first, entry.frame) for entry in entries]
 
 
 def with_absences(sightings: Sequence[tuple[int, Sequence[HandFrame]]]) -> list[Entry]:
-    """Entries of a tracker's frames, with a hand that is not there said to be so.
+    """Convert a tracker's frames to entries, with an inactive frame for each hand not in view.
 
     Args:
-        sightings: The time [ns] and the hands of each frame.
+        sightings: The time [ns] and the hands of each of the tracker's frames.
     """
     entries: list[Entry] = []
     start = sightings[0][0] if sightings else 0
@@ -186,7 +186,7 @@ def _is_header(line: str) -> bool:
         return False
     if header.get("version") != _HEADER["version"]:
         raise TrackingError(
-            f"The recording is of version {header.get('version')}; this add-on reads version "
+            f"The recording has version {header.get('version')}; this add-on reads version "
             f"{_HEADER['version']}. Update the add-on."
         )
     return True
@@ -205,7 +205,7 @@ def _line(frame: HandFrame, time: int) -> str:
         "tracked": frame.tracked,
     }
     if frame.active:
-        # The shortest decimals that give the same 32 bits back.
+        # The shortest decimals that give back the same float32.
         content["joints"] = [[float(str(value)) for value in joint] for joint in frame.joints]
     return json.dumps(content, separators=(",", ":")) + "\n"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A recording as it is at given times: the same hands that live tracking would have shown."""
+"""Resamples a recording at given times, as live tracking would have shown it."""
 
 from __future__ import annotations
 
@@ -14,71 +14,71 @@ from ..hand.presence import TrackedHand
 from ..protocol.joints import SIDES
 from .recording import Entry
 
-_WIDEST_GAP = 100_000_000
-"""Between two frames further apart than this nothing is interpolated [ns]."""
+_MAX_GAP = 100_000_000
+"""Frames farther apart than this are not interpolated [ns]."""
 
 
-class Moment(NamedTuple):
-    """A hand at the moment that a frame of it was seen."""
+class Sample(NamedTuple):
+    """A hand at the time of one of its frames."""
 
     time: int
-    """When [ns]."""
+    """[ns]"""
     hand: TrackedHand
-    """The hand, filtered."""
+    """The filtered hand."""
 
 
 def resampled_hands(
     entries: Sequence[Entry], times: Sequence[int]
 ) -> dict[str, list[TrackedHand | None]]:
-    """Both hands at each of some times.
+    """Compute both hands at given times.
 
-    Frames go through the same rules and filters as in live tracking, so that what was lost there is
-    lost here. Between two frames the hand is interpolated, so that the tracker's own pace does not
+    Frames pass through the same rules and filters as in live tracking, so that a hand is lost at
+    the same times. Hands are interpolated between frames, so that the tracker's frame rate does not
     show in the animation.
 
     Args:
-        entries: The recording, in the order of its times.
-        times: Since its start, ascending [ns].
+        entries: The recording, sorted by time.
+        times: Ascending times from its start [ns].
 
     Returns:
-        For each side, the hand at each time; None before it was first seen.
+        For each side, the hand at each time; None before it is first seen.
     """
     tracker = HandTracker()
-    moments: dict[str, list[Moment]] = {side: [] for side in SIDES}
-    sampled: dict[str, list[TrackedHand | None]] = {side: [] for side in SIDES}
-    number = 0
+    samples: dict[str, list[Sample]] = {side: [] for side in SIDES}
+    hands: dict[str, list[TrackedHand | None]] = {side: [] for side in SIDES}
+    index = 0
     for time in times:
-        while number < len(entries) and entries[number].time <= time:
-            _take(tracker, entries[number], moments)
-            number += 1
+        while index < len(entries) and entries[index].time <= time:
+            _take(tracker, entries[index], samples)
+            index += 1
         for side in SIDES:
-            sampled[side].append(tracker.hand(side, time))
-    for entry in entries[number:]:
-        _take(tracker, entry, moments)
+            hands[side].append(tracker.hand(side, time))
+    for entry in entries[index:]:
+        _take(tracker, entry, samples)
     return {
         side: [
-            hand if hand is None else _interpolated(hand, time, moments[side])
-            for hand, time in zip(sampled[side], times, strict=True)
+            hand if hand is None else _interpolated(hand, time, samples[side])
+            for hand, time in zip(hands[side], times, strict=True)
         ]
         for side in SIDES
     }
 
 
-def _take(tracker: HandTracker, entry: Entry, moments: dict[str, list[Moment]]) -> None:
+def _take(tracker: HandTracker, entry: Entry, samples: dict[str, list[Sample]]) -> None:
     tracker.take(entry.frame, entry.time)
     hand = tracker.hand(entry.frame.side, entry.time)
     if hand is not None and hand.state == "live":
-        moments[entry.frame.side].append(Moment(entry.time, hand))
+        samples[entry.frame.side].append(Sample(entry.time, hand))
 
 
-def _interpolated(hand: TrackedHand, time: int, moments: Sequence[Moment]) -> TrackedHand:
-    after = int(np.searchsorted([moment.time for moment in moments], time, side="right"))
-    if hand.state != "live" or not 0 < after < len(moments):
+def _interpolated(hand: TrackedHand, time: int, samples: Sequence[Sample]) -> TrackedHand:
+    after = int(np.searchsorted([sample.time for sample in samples], time, side="right"))
+    if hand.state != "live" or not 0 < after < len(samples):
         return hand
-    first, second = moments[after - 1], moments[after]
+    first, second = samples[after - 1], samples[after]
     gap = second.time - first.time
-    # Contact starts anew where the hand jumped or came back.
-    if not 0 < gap <= _WIDEST_GAP or second.hand.contact < first.hand.contact:
+    # Contact drops when the hand jumped or reappeared.
+    if not 0 < gap <= _MAX_GAP or second.hand.contact < first.hand.contact:
         return hand
     share = (time - first.time) / gap
     positions = first.hand.positions + share * (second.hand.positions - first.hand.positions)

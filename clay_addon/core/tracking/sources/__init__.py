@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Senders, one a tracker, each a process of its own."""
+"""Sources of hands, one module per tracker; each runs in a sender process."""

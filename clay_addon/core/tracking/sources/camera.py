@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A webcam, a video file or pictures as a source of hands, through MediaPipe."""
+"""A webcam, a video file or images as a source of hands, through MediaPipe."""
 
 from __future__ import annotations
 
 import subprocess
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,25 +28,25 @@ def mediapipe(
     clock: Callable[[], int] = time.perf_counter_ns,
     sleep: Callable[[float], object] = time.sleep,
 ) -> Generator[Sighting, None, None]:
-    """Hands that MediaPipe sees.
+    """Yield the hands that MediaPipe detects.
 
     Args:
-        inputs: The number of a camera, a video file, or pictures.
-        environment: Folder that `mediapipe_setup.set_up` made.
-        hands: What turns its landmarks into hands.
-        paced: Whether a video is played at its own pace, and pictures one a second, as far as the
-            machine keeps up; else as fast as it goes.
+        inputs: A camera index, a video file, or images.
+        environment: Folder of the environment made by `mediapipe_setup.set_up`.
+        hands: Converts landmarks to hands.
+        paced: Whether to play a video at its own speed, and images at one per second, if the
+            machine keeps up; otherwise as fast as possible.
         clock: The time [ns].
-        sleep: Waits for so many seconds.
+        sleep: Waits for a number of seconds.
 
     Raises:
-        TrackingError: MediaPipe is not set up, or the input cannot be opened.
+        TrackingError: MediaPipe is not set up or has failed, or the input cannot be opened.
     """
     python = environment_python(environment)
     live = len(inputs) == 1 and inputs[0].isdigit()
     for name in inputs:
         if not live and not Path(name).is_file():
-            raise TrackingError(f"There is no file {name}.")
+            raise TrackingError(f"The file {name} does not exist.")
     command = [str(python), str(_WORKER), "--model", str(environment / MODEL), *inputs]
     start = None
     with subprocess.Popen(
@@ -60,7 +59,7 @@ def mediapipe(
     ) as worker:
         assert worker.stdout is not None
         assert worker.stderr is not None
-        said = _Tail(worker.stderr)
+        errors = _LastLine(worker.stderr)
         try:
             for line in worker.stdout:
                 frames = hands.read(line)
@@ -70,34 +69,34 @@ def mediapipe(
                 if not live:
                     start = clock() - hands.time if start is None else start
                     moment = start + hands.time
-                    left = moment - clock()
-                    if left < 0:
+                    ahead = moment - clock()
+                    if ahead < 0:
                         # Detection does not keep up, so the video plays more slowly.
-                        start, moment = start - left, moment - left
+                        start, moment = start - ahead, moment - ahead
                     elif paced:
-                        sleep(left * 1e-9)
+                        sleep(ahead * 1e-9)
                 yield sighting([replace(frame, source_time=moment) for frame in frames], moment)
             if worker.wait() != 0:
-                raise TrackingError(f"MediaPipe stopped: {said.text()}")
+                raise TrackingError(f"MediaPipe stopped: {errors.text()}")
         finally:
             worker.kill()
 
 
-class _Tail:
-    """Reads what a process says, so that it never waits for a reader, and keeps the end of it."""
+class _LastLine:
+    """Drains a process's standard error, so that it never blocks, and keeps the last line."""
 
     def __init__(self, stream: Iterable[str]) -> None:
-        self._lines: deque[str] = deque(maxlen=20)
+        self._line = ""
         self._thread = threading.Thread(target=self._read, args=(stream,), daemon=True)
         self._thread.start()
 
     def _read(self, stream: Iterable[str]) -> None:
         for line in stream:
-            # What MediaPipe and OpenCV note of their own doings is nobody's concern.
+            # Skip the log messages of MediaPipe and OpenCV.
             if line.strip() and not line.startswith(("INFO", "WARNING", "W0", "I0", "[")):
-                self._lines.append(line.strip())
+                self._line = line.strip()
 
     def text(self) -> str:
         """The last line."""
         self._thread.join(timeout=2.0)
-        return self._lines[-1] if self._lines else "it did not say why."
+        return self._line or "no error message."

@@ -13,9 +13,9 @@ from ..protocol.joints import SIDES
 from .sender import Sighting
 
 PORT = 9000
-"""The port that the app sends to unless told otherwise."""
-_ABSENT = 100_000_000
-"""The app sends nothing of a hand it does not see: silent for so long [ns] means not in view."""
+"""The app's default port."""
+_ABSENCE_TIME = 100_000_000
+"""A hand without data for this long is out of view [ns]: the app does not report absent hands."""
 
 
 def hts_stream(
@@ -24,16 +24,16 @@ def hts_stream(
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
 ) -> Generator[Sighting, None, None]:
-    """Hands that the app sends, for as long as they are asked for.
+    """Yield the hands that the app sends, without end.
 
     Args:
-        host: Address to listen on; by default all of this machine's, since the headset sends over
-            the network. What it receives is checked, and goes on to loopback only.
+        host: Address to listen on; by default all of this machine's, because the headset sends over
+            the network. Data is validated, and forwarded to loopback only.
         port: Port to listen on.
         clock: The time [ns].
 
     Raises:
-        TrackingError: The port cannot be had.
+        TrackingError: The port cannot be opened.
     """
     hands = HtsHands()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as incoming:
@@ -44,19 +44,20 @@ def hts_stream(
                 f"Port {port} of {host} cannot be opened ({error}). Choose another with --listen, "
                 "and set the same in the app."
             ) from error
-        incoming.settimeout(_ABSENT * 1e-9 / 2)
+        incoming.settimeout(_ABSENCE_TIME * 1e-9 / 2)
         seen: dict[str, int] = {}
         while True:
             frames = []
             try:
                 data = incoming.recv(1 << 16)
             except OSError:
-                # Nothing came, or a datagram that was too long.
+                # Nothing arrived in time, or the datagram was too long.
                 now = clock()
             else:
                 now = clock()
                 frames = hands.read(data, now)
             seen.update((frame.side, now) for frame in frames)
-            absent = [side for side in SIDES if now - seen.get(side, now - 2 * _ABSENT) > _ABSENT]
+            never = now - 2 * _ABSENCE_TIME
+            absent = [side for side in SIDES if now - seen.get(side, never) > _ABSENCE_TIME]
             if frames or absent:
                 yield Sighting(frames, absent, now)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The Leap service's websocket as a source of hands.
 
-The service listens on port 6437 of this machine. A client asks for protocol 6 by the path, is told
-the version it gets, asks to be served in the background too, and is sent one JSON object a frame.
-Services since Ultraleap Gemini have no websocket any more: there the source ``leapc`` serves.
+The service listens on port 6437 of this machine. A client selects protocol 6 by the path, receives
+the actual version, asks to be served in the background too, and then receives one JSON object per
+frame. Services since Ultraleap Gemini no longer have a websocket; use the source ``leapc`` there.
 """
 
 from __future__ import annotations
@@ -29,24 +29,29 @@ def leap_service(
     address: str = ADDRESS,
     *,
     sleep: Callable[[float], object] = time.sleep,
-    tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+    report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
 ) -> Generator[Sighting, None, None]:
-    """Hands from the service, for as long as they are asked for; waits for it to come and go.
+    """Yield the service's hands, without end; reconnects when the service comes and goes.
+
+    Args:
+        address: Address of the websocket.
+        sleep: Waits for a number of seconds.
+        report: Receives messages when the service cannot be reached.
 
     Raises:
         TrackingError: The websockets library is missing, or the service speaks another protocol.
     """
     client, exceptions = _library()
     hands = LeapHands()
-    told = ""
+    reported = ""
     while True:
         try:
             with client.connect(
                 address, max_size=_MAX_MESSAGE_SIZE, open_timeout=5, compression=None
             ) as connection:
-                for wish in ({"enableGestures": False}, {"background": True}, {"focused": True}):
-                    connection.send(json.dumps(wish))
-                told = ""
+                for setting in ({"enableGestures": False}, {"background": True}, {"focused": True}):
+                    connection.send(json.dumps(setting))
+                reported = ""
                 clock = ClockMap()
                 while True:
                     try:
@@ -59,10 +64,10 @@ def leap_service(
                     if seen is not None:
                         yield seen
         except (OSError, exceptions.WebSocketException) as error:
-            text = f"The Leap service does not answer at {address} ({error}); waiting for it."
-            if text != told:
-                tell(text)
-                told = text
+            text = f"The Leap service does not respond at {address} ({error}); waiting for it."
+            if text != reported:
+                report(text)
+                reported = text
             yield sighting([])
             sleep(_WAIT_SECONDS)
 
@@ -76,8 +81,8 @@ def _sighting(message: str | bytes, hands: LeapHands, clock: ClockMap) -> Sighti
     version = content.get("version") if isinstance(content, dict) else None
     if isinstance(version, int) and version < 5:
         raise TrackingError(
-            f"The Leap service speaks protocol {version}, which has no bones; update it to a "
-            "version that speaks protocol 6."
+            f"The Leap service uses protocol {version}, which has no bones; update it to a version "
+            "with protocol 6."
         )
     frames = hands.read(content)
     if hands.time is None:

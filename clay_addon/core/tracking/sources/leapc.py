@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ultraleap's LeapC library as a source of hands, by ctypes.
+"""Ultraleap's LeapC library as a source of hands, through ctypes.
 
-From the documented interface of LeapC (Gemini 5 and Hyperion 6): structures without gaps,
-millimeters and microseconds, Y up, each finger with four bones from its metacarpal to its tip.
+Follows the documented interface of LeapC (Gemini 5 and Hyperion 6): structures without padding,
+millimeters and microseconds, Y up, and four bones per finger from the metacarpal to the tip.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class TrackingEvent(_Packed):
 
 
 class Message(_Packed):
-    """LEAP_CONNECTION_MESSAGE; older libraries leave the last field out."""
+    """LEAP_CONNECTION_MESSAGE; older libraries lack the last field."""
 
     _fields_ = [
         ("size", c_uint32),
@@ -126,17 +126,17 @@ def leapc(
     library: str | None = None,
     *,
     clock: Callable[[], int] = time.perf_counter_ns,
-    tell: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
+    report: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True),
 ) -> Generator[Sighting, None, None]:
-    """Hands from the Ultraleap tracking service, for as long as they are asked for.
+    """Yield the hands of the Ultraleap tracking service, without end.
 
     Args:
-        library: Path of LeapC; looked for where Ultraleap's installers put it by default.
+        library: Path of LeapC; by default searched for where Ultraleap's installers put it.
         clock: The time [ns].
-        tell: Is told when the service or the device comes and goes.
+        report: Receives messages when the service or the device connects or disconnects.
 
     Raises:
-        TrackingError: There is no LeapC, or it does not serve.
+        TrackingError: LeapC cannot be loaded, or cannot connect.
     """
     functions = load_library(library)
     connection = c_void_p()
@@ -151,27 +151,30 @@ def leapc(
                 yield sighting([])
                 continue
             if code & _FAILURE:
-                # Not connected yet, or not any more: the library keeps trying.
+                # Not connected yet, or disconnected: the library keeps trying.
                 yield sighting([])
                 time.sleep(_POLL_MILLISECONDS * 1e-3)
                 continue
             if message.type == _TRACKING and message.event:
                 yield _sighting(functions, message.event, clock)
             else:
-                _tell(message.type, tell)
+                _report(message.type, report)
     finally:
         functions.LeapCloseConnection(connection)
         functions.LeapDestroyConnection(connection)
 
 
 def load_library(path: str | None = None) -> Any:
-    """LeapC with the types of the functions that are called.
+    """Load LeapC and declare the types of the functions that are called.
+
+    Args:
+        path: Path of the library; searched for by default.
 
     Raises:
-        TrackingError: It cannot be found or loaded, or is something else.
+        TrackingError: It cannot be found or loaded, or is another library.
     """
     problems = []
-    for candidate in [path] if path else _usual_places():
+    for candidate in [path] if path else _default_paths():
         try:
             functions = ctypes.CDLL(candidate)
             functions.LeapGetNow.restype = c_int64
@@ -186,12 +189,12 @@ def load_library(path: str | None = None) -> Any:
         else:
             return functions
     raise TrackingError(
-        "LeapC cannot be loaded. Install Ultraleap's hand tracking software, or name the library "
-        f"with --library. Tried: {'; '.join(problems)}."
+        "LeapC cannot be loaded. Install Ultraleap's hand tracking software, or give the path of "
+        f"the library with --library. Tried: {'; '.join(problems)}."
     )
 
 
-def _usual_places() -> list[str]:
+def _default_paths() -> list[str]:
     if sys.platform == "win32":
         programs = os.environ.get("ProgramFiles", r"C:\Program Files")  # noqa: SIM112
         return [rf"{programs}\Ultraleap\LeapSDK\lib\x64\LeapC.dll", "LeapC.dll"]
@@ -206,46 +209,46 @@ def _usual_places() -> list[str]:
     ]
 
 
-def _check(code: int, what: str) -> None:
+def _check(code: int, action: str) -> None:
     code &= 0xFFFFFFFF
     if code & _FAILURE:
-        raise TrackingError(f"LeapC could not {what} (code {code:#010x}).")
+        raise TrackingError(f"LeapC could not {action} (code {code:#010x}).")
 
 
-def _tell(kind: int, tell: Callable[[str], None]) -> None:
+def _report(kind: int, report: Callable[[str], None]) -> None:
     texts = {
         _CONNECTED: "Connected to the Ultraleap service.",
-        _CONNECTION_LOST: "The Ultraleap service is gone; waiting for it.",
-        _DEVICE: "A tracking device is there.",
-        _DEVICE_LOST: "The tracking device is gone.",
+        _CONNECTION_LOST: "Lost the connection to the Ultraleap service; waiting for it.",
+        _DEVICE: "A tracking device is connected.",
+        _DEVICE_LOST: "The tracking device was disconnected.",
     }
     if kind in texts:
-        tell(texts[kind])
+        report(texts[kind])
 
 
 def _sighting(functions: Any, event: int, clock: Callable[[], int]) -> Sighting:
-    # The library owns the event until the next poll: everything is copied out of it here.
+    # The library owns the event and reuses it at the next poll, so everything is copied here.
     tracking = TrackingEvent.from_address(event)
-    # Both clocks run on this machine, so the frame's age says when it was on this one.
+    # Both clocks run on this machine, so the frame's age converts its time to this clock.
     age = max(0, functions.LeapGetNow() - tracking.timestamp) * 1000
     moment = clock() - age
     frames: dict[str, HandFrame] = {}
-    for number in range(min(tracking.hand_count, 16)):
+    for index in range(min(tracking.hand_count, 16)):
         with suppress(SkeletonError, ValueError):
-            frame = hand_frame(tracking.hands[number], max(0, moment))
+            frame = hand_frame(tracking.hands[index], max(0, moment))
             frames.setdefault(frame.side, frame)
     return sighting(list(frames.values()), max(0, moment))
 
 
 def hand_frame(hand: LeapHand, moment: int) -> HandFrame:
-    """A hand of the library's.
+    """Convert a hand of the library.
 
     Args:
-        hand: The structure.
+        hand: The library's structure.
         moment: When it was seen [ns].
 
     Raises:
-        SkeletonError: Its joints make no hand.
+        SkeletonError: Its joints do not form a hand.
     """
     if hand.type not in (0, 1):
         raise SkeletonError("bad side")
@@ -254,7 +257,7 @@ def hand_frame(hand: LeapHand, moment: int) -> HandFrame:
     radii = np.full(JOINT_COUNT, np.nan)
     reference = reference_hand(side)
     for finger, digit in zip(FINGERS, hand.digits, strict=True):
-        # The thumb's metacarpal has no length in Leap's model; its next bone is what OpenXR's is.
+        # Leap's thumb has a metacarpal of zero length; its next bone is OpenXR's metacarpal.
         bones = list(digit.bones)[5 - len(finger) :]
         for joint, bone in zip(finger, bones, strict=False):
             positions[joint] = _vector(bone.prev_joint)

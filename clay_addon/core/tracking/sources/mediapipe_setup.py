@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""MediaPipe's own environment: made by one command, never by Blender.
+"""Sets up MediaPipe in an environment of its own: by a command, never from Blender.
 
-MediaPipe needs OpenCV and a numpy of its own, half a gigabyte in all, so that it lives apart. Its
-current version runs the models but does not bring them; an earlier one brings them, of which only
-the two files of hands are taken and put into one file as the current version wants them.
+MediaPipe needs OpenCV and another version of numpy, half a gigabyte in all, so it is kept separate.
+Its current version runs the hand models but does not contain them. They are extracted from an older
+version's wheel and packed into one file, as the current version expects.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _DONE = "installed.stamp"
 
 
 def default_environment() -> Path:
-    """The folder of the environment unless another is named."""
+    """The default folder of the environment."""
     if sys.platform == "win32":
         base = Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     elif sys.platform == "darwin":
@@ -42,10 +42,10 @@ def default_environment() -> Path:
 
 
 def environment_python(folder: Path) -> Path:
-    """The environment's Python.
+    """The Python executable of an environment.
 
     Raises:
-        TrackingError: The environment is not there, or was not made to its end.
+        TrackingError: The environment does not exist, or its setup was not completed.
     """
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     if not (folder / _DONE).is_file() or not python.exists():
@@ -55,44 +55,50 @@ def environment_python(folder: Path) -> Path:
     return python
 
 
-def set_up(folder: Path, *, tell: Callable[[str], None] = print) -> None:
-    """Make the environment, some 650 MB; one that stands is left as it is.
+def set_up(folder: Path, *, report: Callable[[str], None] = print) -> None:
+    """Create the environment (650 MB); a complete one is left as it is.
 
     Args:
-        folder: Where to.
-        tell: Is told what is being done.
+        folder: Folder of the environment.
+        report: Receives progress messages.
 
     Raises:
-        TrackingError: It cannot be made; the message has what pip said.
+        TrackingError: It cannot be created; the message includes pip's output.
     """
     if (folder / _DONE).is_file():
-        tell(f"MediaPipe is set up in {folder}.")
+        report(f"MediaPipe is already set up in {folder}.")
         return
     if folder.exists() and any(folder.iterdir()) and not (folder / "pyvenv.cfg").is_file():
-        raise TrackingError(f"{folder} is no environment; name an empty folder with --environment.")
-    tell(f"Making an environment in {folder} …")
+        raise TrackingError(
+            f"{folder} is not an environment; choose an empty folder with --environment."
+        )
+    report(f"Creating an environment in {folder} …")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         venv.create(folder, with_pip=True, clear=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise TrackingError(f"An environment cannot be made in {folder} ({error}).") from error
+        raise TrackingError(f"Cannot create an environment in {folder} ({error}).") from error
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-    tell(f"Installing {RUNTIME} …")
+    report(f"Installing {RUNTIME} …")
     _pip(python, "install", RUNTIME)
-    tell("Fetching the hand models …")
+    report("Fetching the hand models …")
     make_model(python, folder / MODEL)
     (folder / _DONE).write_text(f"{RUNTIME}\n", encoding="utf-8")
-    tell("Done. Try: tactile-clay track mediapipe --camera 0")
+    report("Done. Try: tactile-clay track mediapipe --camera 0")
 
 
 def make_model(python: Path, target: Path) -> None:
-    """Fetch the two models and put them into one uncompressed file.
+    """Download the two models and pack them into one uncompressed file.
+
+    Args:
+        python: Python executable whose pip downloads them.
+        target: The file to write.
 
     Raises:
-        TrackingError: They cannot be had.
+        TrackingError: The download failed, or contains no models.
     """
     with tempfile.TemporaryDirectory(prefix="tactile-clay-") as scratch:
-        # Models are the same for every machine, so one wheel serves all.
+        # The models do not depend on the platform, so one wheel serves all.
         options = ["--no-deps", "--only-binary=:all:", "--python-version", "3.11"]
         options += ["--platform", "manylinux_2_28_x86_64", "--dest", scratch]
         _pip(python, "download", *options, _MODELS)
@@ -101,7 +107,7 @@ def make_model(python: Path, target: Path) -> None:
             with zipfile.ZipFile(wheels[0]) as wheel:
                 models = {name: wheel.read(path) for name, path in _MODEL_FILES.items()}
         except (IndexError, KeyError, OSError, zipfile.BadZipFile) as error:
-            raise TrackingError(f"{_MODELS} holds no hand models ({error}).") from error
+            raise TrackingError(f"{_MODELS} contains no hand models ({error}).") from error
     partial = target.with_suffix(".part")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
         for name, data in models.items():

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs MediaPipe in its own environment and prints what it sees, one JSON object a line.
+"""Runs MediaPipe in its own environment and prints detected hands, one JSON object per line.
 
-This file is run by path with that environment's Python. It imports nothing of this package, which
+This file is run by path with that environment's Python. It imports nothing from this package, which
 is not installed there.
 """
 
@@ -19,7 +19,11 @@ _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 
 
 def main() -> int:
-    """Detect hands until the input ends; the exit code is 1 where it cannot be opened."""
+    """Detect hands until the input ends.
+
+    Returns:
+        The exit code: 1 if the input cannot be opened.
+    """
     parser = argparse.ArgumentParser()
     parser.add_argument("inputs", nargs="+")
     parser.add_argument("--model", required=True)
@@ -45,18 +49,18 @@ def main() -> int:
     source = _stills(cv2, options.inputs) if stills else _video(cv2, options.inputs)
     last = -1
     try:
-        for moment, picture in source:
+        for moment, pixels in source:
             image = mediapipe.Image(
                 image_format=mediapipe.ImageFormat.SRGB,
-                data=cv2.cvtColor(picture, cv2.COLOR_BGR2RGB),
+                data=cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB),
             )
             if stills:
                 result = detector.detect(image)
             else:
-                # Its times must grow.
+                # MediaPipe requires strictly increasing times [ms].
                 last = max(last + 1, moment // 1_000_000)
                 result = detector.detect_for_video(image, last)
-            print(json.dumps(_record(moment, picture.shape, result)), flush=True)
+            print(json.dumps(_record(moment, pixels.shape, result)), flush=True)
     except _InputError as error:
         print(error, file=sys.stderr)
         return 1
@@ -68,18 +72,20 @@ def main() -> int:
 
 
 class _InputError(Exception):
-    """A picture or camera cannot be opened."""
+    """An image, a video or a camera cannot be opened."""
 
 
 def _stills(cv2: Any, names: list[str]) -> Iterator[tuple[int, Any]]:
-    for number, name in enumerate(names):
-        picture = cv2.imread(name)
-        if picture is None:
-            raise _InputError(f"{name} is no picture that can be read.")
-        yield number * 1_000_000_000, picture
+    """Yield the time [ns] and the pixels of each image, one second apart."""
+    for index, name in enumerate(names):
+        pixels = cv2.imread(name)
+        if pixels is None:
+            raise _InputError(f"{name} is not a readable image.")
+        yield index * 1_000_000_000, pixels
 
 
 def _video(cv2: Any, names: list[str]) -> Iterator[tuple[int, Any]]:
+    """Yield the time [ns] and the pixels of each image of videos or a camera."""
     for name in names:
         live = name.isdigit()
         capture = cv2.VideoCapture(int(name) if live else name)
@@ -87,11 +93,11 @@ def _video(cv2: Any, names: list[str]) -> Iterator[tuple[int, Any]]:
             kind = f"The camera {name}" if live else f"The video {name}"
             raise _InputError(f"{kind} cannot be opened.")
         if live:
-            # Old pictures are worth nothing.
+            # Buffered images would only add delay.
             capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         try:
             while True:
-                good, picture = capture.read()
+                good, pixels = capture.read()
                 moment = (
                     time.perf_counter_ns()
                     if live
@@ -99,7 +105,7 @@ def _video(cv2: Any, names: list[str]) -> Iterator[tuple[int, Any]]:
                 )
                 if not good:
                     break
-                yield moment, picture
+                yield moment, pixels
         finally:
             capture.release()
 

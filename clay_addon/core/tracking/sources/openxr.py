@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An OpenXR runtime as a source of hands: XR_EXT_hand_tracking, through pyopenxr.
 
-The session is headless (XR_MND_headless), so that nothing is drawn and no headset has to be worn by
-the program; runtimes without that extension, such as SteamVR, cannot serve here.
+The session is headless (XR_MND_headless), so that nothing has to be rendered. Runtimes without that
+extension, such as SteamVR, are not supported.
 """
 
 from __future__ import annotations
@@ -32,15 +32,16 @@ def openxr(
     clock: Callable[[], int] = time.perf_counter_ns,
     sleep: Callable[[float], object] = time.sleep,
 ) -> Generator[Sighting, None, None]:
-    """Hands from the machine's OpenXR runtime, for as long as they are asked for.
+    """Yield the hands of the machine's OpenXR runtime until the session ends.
 
     Args:
         xr: The pyopenxr module; imported by default.
         clock: The time [ns].
-        sleep: Waits for so many seconds.
+        sleep: Waits for a number of seconds.
 
     Raises:
-        TrackingError: pyopenxr or a runtime is missing, or the runtime lacks what is needed.
+        TrackingError: pyopenxr or a runtime is missing, the runtime lacks a required extension or
+            fails, or the session has ended.
     """
     xr = _library() if xr is None else xr
     try:
@@ -55,7 +56,7 @@ def openxr(
                 yield sighting([frame for frame in frames if frame is not None], moment)
                 sleep(_STEP_SECONDS)
     except xr.exception.XrException as error:
-        raise TrackingError(f"The OpenXR runtime failed ({_said(error)}).") from error
+        raise TrackingError(f"The OpenXR runtime failed ({_description(error)}).") from error
     raise TrackingError("The OpenXR runtime ended the session.")
 
 
@@ -70,7 +71,7 @@ def _library() -> Any:
     return xr
 
 
-def _said(error: Exception) -> str:
+def _description(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
@@ -95,8 +96,8 @@ class _Session:
             }
         except xr.exception.XrException as error:
             raise TrackingError(
-                f"No OpenXR runtime can be reached ({_said(error)}). Start one, and make it the "
-                "machine's active runtime."
+                f"No OpenXR runtime can be reached ({_description(error)}). Start one, and make it "
+                "the machine's active runtime."
             ) from error
         missing = [name for name in needed if name not in offered]
         if missing:
@@ -123,7 +124,7 @@ class _Session:
         except BaseException:
             xr.destroy_instance(self._instance)
             raise
-        # pyopenxr's own wrapper hands the runtime no room for the joints.
+        # pyopenxr's own wrapper does not allocate memory for the joints.
         self._locate = ctypes.cast(
             xr.get_instance_proc_addr(self._instance, "xrLocateHandJointsEXT"),
             xr.PFN_xrLocateHandJointsEXT,
@@ -133,11 +134,11 @@ class _Session:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # With the instance goes all that was made in it.
+        # This also destroys everything created in the instance.
         self._xr.destroy_instance(self._instance)
 
     def alive(self) -> bool:
-        """Follow the runtime's events; whether the session goes on."""
+        """Process the runtime's events; False once the session has ended."""
         xr = self._xr
         while not self._over:
             try:
@@ -166,10 +167,10 @@ class _Session:
         return not self._over
 
     def hand(self, side: str, moment: int) -> HandFrame | None:
-        """A hand now; None where there is none."""
+        """Locate a hand now; None if it is not in view."""
         xr = self._xr
-        places = (xr.HandJointLocationEXT * JOINT_COUNT)()
-        locations = xr.HandJointLocationsEXT(joint_count=JOINT_COUNT, joint_locations=places)
+        storage = (xr.HandJointLocationEXT * JOINT_COUNT)()
+        locations = xr.HandJointLocationsEXT(joint_count=JOINT_COUNT, joint_locations=storage)
         result = xr.check_result(
             self._locate(
                 self._trackers[side],
@@ -184,20 +185,20 @@ class _Session:
         valid = tracked = 0
         rows = np.zeros((JOINT_COUNT, 8))
         rows[:, 6] = 1.0
-        for number, place in enumerate(locations.joint_locations):
-            flags = int(place.location_flags)
+        for joint, location in enumerate(locations.joint_locations):
+            flags = int(location.location_flags)
             if flags & _POSE_VALID != _POSE_VALID:
                 continue
-            valid |= 1 << number
+            valid |= 1 << joint
             if flags & _POSE_TRACKED == _POSE_TRACKED:
-                tracked |= 1 << number
-            at, turn = place.pose.position, place.pose.orientation
-            rows[number] = at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w, place.radius
+                tracked |= 1 << joint
+            p, q = location.pose.position, location.pose.orientation
+            rows[joint] = p.x, p.y, p.z, q.x, q.y, q.z, q.w, location.radius
         return HandFrame(
             side=side,
             source_time=moment,
             source="openxr",
-            # There is no confidence in OpenXR; joints that are not tracked are the runtime's guess.
+            # OpenXR has no confidence; without any tracked joint the whole hand is inferred.
             confidence=1.0 if tracked else 0.5,
             valid=valid,
             tracked=tracked,
@@ -213,10 +214,10 @@ class _Session:
                 )
             except xr.exception.ReferenceSpaceUnsupportedError:
                 continue
-        raise TrackingError("The OpenXR runtime has no space that hands could be told in.")
+        raise TrackingError("The OpenXR runtime supports neither the STAGE nor the LOCAL space.")
 
     def _now(self) -> Any:
-        """The runtime's time now."""
+        """The current time on the runtime's clock."""
         xr = self._xr
         if self._windows:
             counter = ctypes.c_int64()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all senders share: the socket to loopback, the numbering, the pace, the telling."""
+"""Common parts of all senders: the socket to loopback, clock conversion, playback and status."""
 
 from __future__ import annotations
 
@@ -16,53 +16,53 @@ from ..protocol.packet import PORT, HandFrame, PacketError, encode
 from ..protocol.receiver import LOOPBACK
 from ..recording.recording import Entry, Recorder
 
-_TELL_EVERY = 1_000_000_000
+_STATUS_INTERVAL = 1_000_000_000
 
 
 class Sighting(NamedTuple):
-    """What a tracker saw at one moment."""
+    """What a tracker saw at one time."""
 
     frames: Sequence[HandFrame]
     """The hands, at most one of each side."""
     absent: Collection[str] = ()
-    """Sides of which it is known that no hand is in view."""
+    """Sides known to be out of view."""
     time: int | None = None
-    """When they were not [ns]: now by default."""
+    """Time of the absence [ns]; now by default."""
 
 
 def sighting(frames: Sequence[HandFrame], time: int | None = None) -> Sighting:
-    """A sighting of a tracker that tells of both hands at once: what is not there is absent.
+    """The sighting of a tracker that reports both hands at once: a missing hand is absent.
 
     Args:
         frames: The hands.
-        time: When they were seen [ns]. Absence must be dated as the hands are: to the receiver all
-            of a sender's frames are as late as each other.
+        time: When they were seen [ns]. An absent hand must have the same time as a present one,
+            because the receiver assumes the same delay for all of a sender's frames.
     """
     present = {frame.side for frame in frames}
     return Sighting(frames, [side for side in SIDES if side not in present], time)
 
 
 class Sender:
-    """Sends hands to loopback, whether anybody listens or not."""
+    """Sends hands to loopback, whether or not a receiver listens."""
 
     def __init__(
         self, port: int = PORT, *, clock: Callable[[], int] = time.perf_counter_ns
     ) -> None:
         """Open a socket to a port of 127.0.0.1."""
         self.sent = 0
-        """Datagrams sent."""
+        """Number of datagrams sent."""
         self.refused = 0
-        """Frames that no receiver would take, and that were not sent."""
+        """Number of invalid frames, which were not sent."""
         self._clock = clock
         self._sequence = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((LOOPBACK, port))
 
     def send(self, seen: Sighting) -> list[HandFrame]:
-        """Send a sighting under the next sequence number.
+        """Send a sighting with the next sequence number.
 
         Returns:
-            The frames as they were sent.
+            The frames that were sent.
         """
         self._sequence += 1
         moment = self._clock() if seen.time is None else seen.time
@@ -80,7 +80,7 @@ class Sender:
             except PacketError:
                 self.refused += 1
                 continue
-            # Nobody may be listening yet, or any more; a full buffer drops what is old soon anyway.
+            # There may be no receiver; and if the buffer is full, newer frames follow soon.
             with contextlib.suppress(OSError):
                 self._socket.send(data)
             self.sent += 1
@@ -93,29 +93,29 @@ class Sender:
 
 
 class ClockMap:
-    """Turns a tracker's clock into this machine's, by the least delay that was seen.
+    """Converts times of a tracker's clock to this machine's, using the smallest delay observed.
 
-    What stays unknown is that least delay itself: the latency shown is that much too small.
+    That smallest delay itself remains unknown: the latency shown is too small by it.
     """
 
-    _LEAK = 1e-4
-    """Clocks drift: what was least may grow by so much of the time that passes."""
+    _DRIFT = 1e-4
+    """Growth of the smallest delay per elapsed time, because clocks drift."""
 
     def __init__(self, clock: Callable[[], int] = time.perf_counter_ns) -> None:
-        """Begin with no pair of times."""
+        """Start without an offset."""
         self._clock = clock
         self._offset: float | None = None
         self._before = 0
 
     def __call__(self, moment: int) -> int:
-        """The time here [ns] of a moment there [ns], never after now."""
+        """Convert a time of the tracker's clock [ns] to this machine's [ns], at most now."""
         now = self._clock()
         offset = float(now - moment)
         if self._offset is None or offset < self._offset or offset - self._offset > 1e9:
-            # A second later than ever is a clock set back or a stream that began anew.
+            # A second more than the smallest delay: the tracker's clock was reset.
             self._offset = offset
         else:
-            self._offset += min(self._LEAK * (now - self._before), offset - self._offset)
+            self._offset += min(self._DRIFT * (now - self._before), offset - self._offset)
         self._before = now
         return min(now, round(moment + self._offset))
 
@@ -131,24 +131,24 @@ def replay(
     """Play a recording.
 
     Args:
-        entries: Its frames, in the order of their times.
-        speed: How many times as fast as it was recorded; 0 is as fast as it goes.
-        loop: Begin again at its end.
+        entries: Its frames, sorted by time.
+        speed: Playback speed; 0 plays as fast as possible.
+        loop: Whether to play it repeatedly.
         clock: The time [ns].
-        sleep: Waits for so many seconds.
+        sleep: Waits for a number of seconds.
     """
-    shift = 0
+    earliest = 0
     while True:
         start = clock()
-        for number, entry in enumerate(entries):
-            due = round(entry.time / speed) if speed > 0.0 else number
-            left = start + due - clock()
-            if speed > 0.0 and left > 0:
-                sleep(left * 1e-9)
-            # The moment it is due, not when this process was woken: the pace is the recording's.
-            moment = max(start + due, shift)
+        for index, entry in enumerate(entries):
+            due = round(entry.time / speed) if speed > 0.0 else index
+            remaining = start + due - clock()
+            if speed > 0.0 and remaining > 0:
+                sleep(remaining * 1e-9)
+            # The time it is due, not when the process woke up: this keeps the recording's timing.
+            moment = max(start + due, earliest)
             frame = replace(entry.frame, source_time=moment)
-            shift = moment + 1
+            earliest = moment + 1
             if frame.active:
                 yield Sighting([frame])
             else:
@@ -167,24 +167,24 @@ def run(
     output: TextIO | None = None,
     clock: Callable[[], int] = time.perf_counter_ns,
 ) -> int:
-    """Send what a tracker sees until it ends, and tell once a second what that is.
+    """Send a tracker's sightings until they end, and print the frame rates once a second.
 
     Args:
-        sightings: What it sees, as it sees it.
-        sender: Where it goes.
-        recorder: Keeps what is sent, too.
-        duration: Stop after so many seconds.
-        output: Where to tell; the standard error by default.
+        sightings: The sightings, yielded as they occur.
+        sender: Sends them.
+        recorder: Also records what is sent.
+        duration: Stop after this time [s].
+        output: Stream for the frame rates; standard error by default.
         clock: The time [ns].
 
     Returns:
         Number of datagrams sent.
 
     Raises:
-        TrackingError: The tracker is gone, or the recording cannot be written.
+        TrackingError: The tracker failed, or the recording cannot be written.
     """
     output = output or sys.stderr
-    start = told = clock()
+    start = printed = clock()
     counts = dict.fromkeys(SIDES, 0)
     for seen in sightings:
         for frame in sender.send(seen):
@@ -192,14 +192,14 @@ def run(
             if recorder is not None:
                 recorder.take(frame, frame.source_time)
         now = clock()
-        if now - told > _TELL_EVERY:
-            seconds = (now - told) * 1e-9
-            words = [
+        if now - printed > _STATUS_INTERVAL:
+            seconds = (now - printed) * 1e-9
+            rates = [
                 f"{side} {count / seconds:.0f}/s" if count else f"{side} not seen"
                 for side, count in counts.items()
             ]
-            print(", ".join(words), file=output, flush=True)
-            told, counts = now, dict.fromkeys(SIDES, 0)
+            print(", ".join(rates), file=output, flush=True)
+            printed, counts = now, dict.fromkeys(SIDES, 0)
         if duration is not None and (now - start) * 1e-9 >= duration:
             break
     return sender.sent

@@ -1,25 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sender as a child process: it ends with its parent, and a crash of it is its own."""
+"""Runs a sender as a child process, which exits with its parent and cannot crash it."""
 
 from __future__ import annotations
 
 import subprocess
 import threading
-from collections import deque
 from collections.abc import Iterable, Sequence
 
 from .. import TrackingError
 
 NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 """Keeps Windows from opening a console for a child process."""
-_PATIENCE_SECONDS = 3.0
+_STOP_TIMEOUT_SECONDS = 3.0
 
 
 class SenderProcess:
-    """Runs ``track SOURCE --attached``, which ends when its standard input does."""
+    """Runs ``track SOURCE --attached``, which exits when its standard input is closed."""
 
     def __init__(self, command: Sequence[str]) -> None:
-        """Start it.
+        """Start the process.
+
+        Args:
+            command: Program and arguments.
 
         Raises:
             TrackingError: The program cannot be started.
@@ -39,8 +41,8 @@ class SenderProcess:
             raise TrackingError(f"The sender cannot be started ({error}).") from error
         assert self._process.stderr is not None
         self._stopped = False
-        self._lines: deque[str] = deque(maxlen=20)
-        # It must never wait for someone to read what it tells.
+        self._last_line = ""
+        # The process must never block on a full pipe.
         self._reader = threading.Thread(
             target=self._read, args=(self._process.stderr,), daemon=True
         )
@@ -48,25 +50,24 @@ class SenderProcess:
 
     @property
     def problem(self) -> str:
-        """Why it ended by itself; empty while it runs, or where it ended well or was ended."""
+        """Why the process failed; empty while it runs, after success, or after `stop`."""
         if self._stopped or self._process.poll() in (None, 0):
             return ""
         self._reader.join(timeout=1.0)
-        return self._lines[-1] if self._lines else "The sender ended and did not say why."
+        return self._last_line or "The sender exited without an error message."
 
     @property
     def runs(self) -> bool:
-        """Whether it runs."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def stop(self) -> None:
-        """End it; a second call does nothing."""
+        """Stop the process; a second call does nothing."""
         assert self._process.stdin is not None
         self._stopped = True
-        # What was never written cannot fail to be flushed, but the pipe may be gone.
         try:
             self._process.stdin.close()
-            self._process.wait(timeout=_PATIENCE_SECONDS)
+            self._process.wait(timeout=_STOP_TIMEOUT_SECONDS)
         except (OSError, subprocess.TimeoutExpired):
             self._process.kill()
             self._process.wait()
@@ -75,4 +76,4 @@ class SenderProcess:
     def _read(self, stream: Iterable[str]) -> None:
         for line in stream:
             if line.strip():
-                self._lines.append(line.strip())
+                self._last_line = line.strip()

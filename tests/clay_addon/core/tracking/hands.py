@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands to track with, generated and recorded, and a clock that tests turn."""
+"""Test data for tracking: generated and recorded hands, and a manual clock."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -38,7 +38,7 @@ LEAP_RECORDINGS = Path(__file__).resolve().parents[5] / "shared" / "data" / "lea
 
 
 class Clock:
-    """A clock that stands until it is turned [ns]."""
+    """A clock that advances only by `turn` [ns]."""
 
     def __init__(self, now: int = 10_000 * MILLISECOND) -> None:
         self.now = now
@@ -52,7 +52,7 @@ class Clock:
 
 
 def shown(hand: TrackedHand | None) -> TrackedHand:
-    """A hand that is there."""
+    """The hand, asserting that there is one."""
     assert hand is not None
     return hand
 
@@ -64,7 +64,7 @@ def flat_hand(
     quaternion: ArrayLike = (0.0, 0.0, 0.0, 1.0),
     size: float = 1.0,
 ) -> NDArray[np.float32]:
-    """Joints of a flat hand with its wrist somewhere, turned and scaled, shape [26, 8]."""
+    """Joints of a flat hand with its wrist at a position, rotated and scaled, shape [26, 8]."""
     reference = reference_hand(side)
     turn = matrices_from_quaternions(quaternion)
     return joint_array(
@@ -77,7 +77,7 @@ def flat_hand(
 def frame_at(
     time: int, sequence: int = 1, side: str = "right", at: ArrayLike = (0.0, 0.2, 0.0), **options
 ) -> HandFrame:
-    """A frame of a flat hand; what is given beside overrides."""
+    """A frame of a flat hand; other fields can be overridden."""
     values = {
         "side": side,
         "source_time": time,
@@ -91,17 +91,17 @@ def frame_at(
 def rig_bones(
     side: str = "right", *, name: Callable[[str], str] = str, size: float = 1.0
 ) -> dict[str, NDArray[np.float64]]:
-    """World from bone at rest of a rig with OpenXR's axes, Z up, by bone name, shape [4, 4]."""
+    """Rest matrices of a rig with OpenXR's axes, Z up, by bone name, shape [4, 4]."""
     reference = reference_hand(side)
     bones = {}
-    for number in range(JOINT_COUNT):
+    for joint in range(JOINT_COUNT):
         matrix = np.eye(4)
-        matrix[:3, :3] = Z_UP @ reference.rotations[number]
-        matrix[:3, 3] = size * Z_UP @ reference.positions[number]
-        bones[name(JOINT_NAMES[number])] = matrix
+        matrix[:3, :3] = Z_UP @ reference.rotations[joint]
+        matrix[:3, 3] = size * Z_UP @ reference.positions[joint]
+        bones[name(JOINT_NAMES[joint])] = matrix
     return bones
 
 
 def leap_recordings() -> list[Path]:
-    """Real recordings of a Leap, where they are at hand."""
+    """Real recordings of a Leap, if available."""
     return sorted(LEAP_RECORDINGS.glob("*.json.gz"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``tactile-clay track``: usage, and the way from a file to the receiver."""
+"""``tactile-clay track``: usage, and playing files to the receiver."""
 
 import json
 import subprocess
@@ -27,10 +27,10 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "hands.jsonl"
 
 
-def test_recording_goes_to_the_receiver(
+def test_recording_is_sent_to_the_receiver(
     recording: Path, receiver: Receiver, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Play a recording into a receiver, all of it, and tell how much was sent."""
+    """Play a complete recording to a receiver, and print how much was sent."""
     port = str(receiver.address[1])
     assert main(["track", "recording", str(recording), "--port", port, "--speed", "0"]) == 0
     frames = [arrival.frame for arrival in receiver.drain()]
@@ -38,10 +38,10 @@ def test_recording_goes_to_the_receiver(
     assert capfd.readouterr().out == "52 datagrams sent.\n"
 
 
-def test_leap_file_is_kept_as_a_recording(
+def test_leap_file_is_converted_to_a_recording(
     tmp_path: Path, receiver: Receiver, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Turn a Leap's file into a recording while it is played."""
+    """Record a LeapJS file while it is played."""
     frames = [message(leap_hand(), timestamp=1000 + 1000 * number) for number in range(5)]
     (tmp_path / "leap.json").write_text(json.dumps({"frames": frames}))
     target = tmp_path / "hands.jsonl"
@@ -54,7 +54,7 @@ def test_leap_file_is_kept_as_a_recording(
 
 
 def test_loop_ends_after_its_duration(recording: Path, receiver: Receiver) -> None:
-    """Stop a loop by itself."""
+    """Stop playing in a loop after the duration."""
     port = str(receiver.address[1])
     options = ["--port", port, "--loop", "--duration", "0.2"]
     thread = threading.Thread(target=main, args=(["track", "recording", str(recording), *options],))
@@ -74,8 +74,8 @@ def test_loop_ends_after_its_duration(recording: Path, receiver: Receiver) -> No
         (["leap", "--duration", "soon"], 2, "not a number"),
         (["mediapipe", "--field-of-view", "400"], 2, "between 10 and 170"),
         (["hts", "--listen", "here:there"], 2, "not a port"),
-        (["recording", "nowhere.jsonl"], 1, "There is no recording nowhere.jsonl"),
-        (["leap", "nowhere.json"], 1, "There is no recording nowhere.json"),
+        (["recording", "nowhere.jsonl"], 1, "The recording nowhere.jsonl does not exist"),
+        (["leap", "nowhere.json"], 1, "The recording nowhere.json does not exist"),
         (["mediapipe", "--environment", "nowhere"], 1, "track mediapipe --setup"),
         (["leapc", "--library", "nowhere.so"], 1, "LeapC cannot be loaded"),
     ],
@@ -83,13 +83,13 @@ def test_loop_ends_after_its_duration(recording: Path, receiver: Receiver) -> No
 def test_wrong_usage_is_explained(
     arguments: list[str], code: int, words: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 2 for what was not understood and 1 for what cannot be done, and say why."""
+    """Return 2 for wrong arguments and 1 for failures, and say why."""
     assert main(["track", *arguments]) == code
     assert words in capfd.readouterr().err
 
 
 def test_tracking_needs_no_blender(recording: Path) -> None:
-    """Send where neither Blender nor Warp is installed."""
+    """Send without Blender or Warp being installed."""
     source = (
         "import sys\n"
         "for name in ('bpy', 'mathutils', 'warp', 'trimesh'): sys.modules[name] = None\n"
@@ -100,14 +100,14 @@ def test_tracking_needs_no_blender(recording: Path) -> None:
     assert (result.returncode, result.stdout) == (0, "52 datagrams sent.\n"), result.stderr
 
 
-def test_interrupted_sender_ends_well_and_keeps_its_recording(
+def test_interrupted_sender_completes_its_recording(
     recording: Path, tmp_path: Path, receiver: Receiver
 ) -> None:
-    """End with Ctrl-C as a person does, the recording whole."""
+    """Exit successfully on Ctrl-C, with a complete recording."""
     target = tmp_path / "kept.jsonl"
     arguments = ["track", "recording", str(recording), "--loop", "--record", str(target)]
     arguments += ["--port", str(receiver.address[1])]
-    # What a shell runs in the background ignores interrupts, and so do its children.
+    # Processes that a shell runs in the background, and their children, ignore interrupts.
     source = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
         "from tactile_clay.clay_addon.command.line import main; "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hand Tracking Streamer's lines, and the source that listens for them."""
+"""Hand Tracking Streamer's format, and the source that receives it."""
 
 import socket
 from itertools import islice
@@ -32,7 +32,7 @@ LANDMARKS = [WRIST, *(joint for finger in FINGERS for joint in finger[-4:])]
 
 
 def lines(side: str, hand: np.ndarray) -> bytes:
-    """A hand as the app sends it: left-handed, the landmarks in the wrist's axes."""
+    """A hand as the app sends it: in left-handed axes, with landmarks in the wrist's axes."""
     wrist, (x, y, z, w) = hand[WRIST, :3], hand[WRIST, 3:7]
     local = (hand[LANDMARKS, :3] - wrist) @ matrices_from_quaternions((x, y, z, w))
     values = [*(wrist * [1, 1, -1]), -x, -y, z, w]
@@ -43,8 +43,8 @@ def lines(side: str, hand: np.ndarray) -> bytes:
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_mirrored_axes_are_turned_right(side: str) -> None:
-    """Read back a turned hand that was sent in Unity's left-handed axes."""
+def test_left_handed_axes_are_converted(side: str) -> None:
+    """Read back a rotated hand that was sent in Unity's left-handed axes."""
     turn = np.array([0.3, -0.5, 0.2, 0.787]) / np.linalg.norm([0.3, -0.5, 0.2, 0.787])
     hand = flat_hand(side, (0.1, 1.2, -0.4), quaternion=turn)
     (frame,) = HtsHands().read(lines(side, hand), NOW)
@@ -53,8 +53,8 @@ def test_mirrored_axes_are_turned_right(side: str) -> None:
     assert np.degrees(angles_between(frame.quaternions, hand[:, 3:7])).max() < 0.3
 
 
-def test_documented_hand_is_a_hand() -> None:
-    """Read the documentation's example: in front of the headset, fingers ahead, thumb inwards."""
+def test_documented_example_is_read() -> None:
+    """Read the documentation's example: fingers point forward, the thumb inward."""
     (frame,) = HtsHands().read(DOCUMENTED, NOW)
     assert np.allclose(frame.positions[WRIST], [0.2502, 1.0635, -0.2540], atol=1e-6)
     axes = matrices_from_quaternions(frame.quaternions[WRIST])
@@ -65,8 +65,8 @@ def test_documented_hand_is_a_hand() -> None:
     assert thumb[1] < 0.0
 
 
-def test_newer_labels_and_heads_are_understood() -> None:
-    """Read past a frame number and a time in the label, and pass over the head's pose."""
+def test_newer_labels_and_head_poses_are_accepted() -> None:
+    """Ignore a frame number and a time in the label, and the head's pose."""
     data = DOCUMENTED.replace(b"Right wrist:", b"Right wrist | f=17 | t=99:")
     hands = HtsHands()
     assert len(hands.read(data + b"Head pose:, 0, 1, 0, 0, 0, 0, 1\n", NOW)) == 1
@@ -90,14 +90,14 @@ def test_newer_labels_and_heads_are_understood() -> None:
     ],
 )
 def test_bad_line_is_counted(data: bytes) -> None:
-    """Count what is no line of a hand, and landmarks whose wrist is not known."""
+    """Count invalid lines, and landmarks without a wrist."""
     hands = HtsHands()
     assert hands.read(data, NOW) == []
     assert hands.rejected == 1
 
 
-def test_landmarks_do_not_take_an_old_wrist() -> None:
-    """Drop landmarks whose wrist came long before."""
+def test_landmarks_do_not_use_an_old_wrist() -> None:
+    """Reject landmarks whose wrist arrived long before."""
     wrist, landmarks = DOCUMENTED.splitlines()
     hands = HtsHands()
     hands.read(wrist, NOW)
@@ -111,31 +111,31 @@ def test_landmarks_do_not_take_an_old_wrist() -> None:
     st.integers(0, len(DOCUMENTED)),
     st.permutations(range(2)),
 )
-def test_spoilt_text_does_no_harm(changes, cut, order) -> None:
-    """Give hands that can be sent, or none, of text that is changed, cut and reordered."""
+def test_corrupt_text_gives_only_valid_hands(changes, cut, order) -> None:
+    """Return only hands that can be sent from text that is modified, cut and reordered."""
     data = bytearray(DOCUMENTED)
     for place, value in changes:
         data[place] = value
     parts = bytes(data[:cut]).split(b"\n", 1)
     hands = HtsHands()
-    for number in order:
-        for frame in hands.read(parts[number] if number < len(parts) else b"", NOW):
+    for index in order:
+        for frame in hands.read(parts[index] if index < len(parts) else b"", NOW):
             encode(frame)
 
 
 @given(st.binary(max_size=300))
-def test_noise_does_no_harm(data: bytes) -> None:
-    """Give nothing of bytes that are no text of a hand."""
+def test_noise_gives_no_hands(data: bytes) -> None:
+    """Return nothing from random bytes."""
     assert HtsHands().read(data, NOW) == []
 
 
-def test_stream_is_heard() -> None:
-    """Hear a sender over UDP, each hand by itself, and tell which is not there."""
+def test_stream_is_received() -> None:
+    """Receive each hand over UDP, and report which one is absent."""
     with socket.socket(type=socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     stream = hts_stream("127.0.0.1", port)
-    # Nothing is there yet: both are absent.
+    # Nothing has arrived yet, so both are absent.
     assert set(next(stream).absent) == {"left", "right"}
     with socket.socket(type=socket.SOCK_DGRAM) as app:
         for _ in range(3):
@@ -148,7 +148,7 @@ def test_stream_is_heard() -> None:
 
 
 def test_port_in_use_is_explained() -> None:
-    """Say what to do where the port is taken."""
+    """Suggest another port if this one is in use."""
     with socket.socket(type=socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         with pytest.raises(TrackingError, match="set the same in the app"):

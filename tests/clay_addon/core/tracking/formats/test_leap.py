@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Leap's JSON: real recordings become hands, and whatever else comes does no harm."""
+"""The Leap service's JSON and recordings of it, valid and corrupt."""
 
 import copy
 import gzip
@@ -28,7 +28,7 @@ from tactile_clay.tests.clay_addon.core.tracking.hands import flat_hand
 def leap_hand(
     side: str = "right", identity: int = 7, at: Any = (0.0, 0.2, 0.0), confidence: float = 0.9
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """A flat hand as the service tells of it."""
+    """A flat hand in the service's format, and its fingers."""
     points = (flat_hand(side, at)[:, :3] * 1000.0).tolist()
     entry = {
         "id": identity,
@@ -47,7 +47,7 @@ def leap_hand(
 
 
 def message(*hands: Any, timestamp: Any = 5_000_000) -> dict[str, Any]:
-    """A frame of the service with hands in it."""
+    """A frame of the service with these hands."""
     return {
         "id": 1,
         "timestamp": timestamp,
@@ -57,7 +57,7 @@ def message(*hands: Any, timestamp: Any = 5_000_000) -> dict[str, Any]:
 
 
 def test_hand_is_read_in_meters_and_nanoseconds() -> None:
-    """Turn millimeters and microseconds, and find what the service does not give."""
+    """Convert millimeters and microseconds, and infer missing joints."""
     (frame,) = LeapHands().read(message(leap_hand(at=(0.1, 0.25, -0.05))))
     expected = flat_hand(at=(0.1, 0.25, -0.05))
     assert (frame.side, frame.source, frame.source_time) == ("right", "leap", 5_000_000_000)
@@ -68,8 +68,8 @@ def test_hand_is_read_in_meters_and_nanoseconds() -> None:
     assert frame.tracked >> 7 & 1
 
 
-def test_wrist_and_metacarpals_are_taken_where_they_are_given() -> None:
-    """Believe newer services, which tell of the wrist and the carpals."""
+def test_wrist_and_metacarpals_of_newer_services_are_used() -> None:
+    """Use the wrist and the metacarpals that newer services give."""
     entry, pointables = leap_hand()
     entry["wrist"] = [1.0, 195.0, 2.0]
     pointables[2]["carpPosition"] = [-3.0, 203.0, -30.0]
@@ -81,7 +81,7 @@ def test_wrist_and_metacarpals_are_taken_where_they_are_given() -> None:
 
 
 def test_two_hands_keep_their_sides_and_fingers() -> None:
-    """Give each hand the fingers that are its own."""
+    """Assign each hand its own fingers."""
     hands = [leap_hand("left", 1, (-0.2, 0.2, 0.0)), leap_hand("right", 2, (0.2, 0.2, 0.0))]
     frames = {frame.side: frame for frame in LeapHands().read(message(*hands))}
     assert set(frames) == {"left", "right"}
@@ -90,8 +90,8 @@ def test_two_hands_keep_their_sides_and_fingers() -> None:
         assert np.abs(frame.positions[:, 0] - x).max() < 0.1
 
 
-def test_two_hands_of_one_side_are_one() -> None:
-    """Believe the hand that has been the right one, or else the surer one."""
+def test_of_two_hands_of_one_side_one_is_kept() -> None:
+    """Keep the hand with the same id as before, or else the one with higher confidence."""
     hands = LeapHands()
     first = leap_hand("right", 1, (0.2, 0.2, 0.0), confidence=0.9)
     second = leap_hand("right", 2, (-0.2, 0.2, 0.0), confidence=0.5)
@@ -105,20 +105,20 @@ def test_two_hands_of_one_side_are_one() -> None:
 @pytest.mark.parametrize(
     "greeting", [{"version": 6, "serviceVersion": "2.3.1"}, {"event": {"type": "deviceEvent"}}]
 )
-def test_what_the_service_says_beside_is_no_frame(greeting) -> None:
-    """Pass over greetings and events without counting them as broken."""
+def test_greetings_and_events_are_skipped(greeting) -> None:
+    """Skip greetings and events without counting them as rejected."""
     hands = LeapHands()
     assert hands.read(greeting) == []
     assert (hands.rejected, hands.time) == (0, None)
 
 
-def spots(value: Any, path: tuple = ()) -> list[tuple]:
-    """Paths to everything in a message."""
+def paths(value: Any, path: tuple = ()) -> list[tuple]:
+    """Paths to all values in a message."""
     found = [path] if path else []
     if isinstance(value, dict | list):
         items = value.items() if isinstance(value, dict) else enumerate(value)
         for key, item in items:
-            found += spots(item, (*path, key))
+            found += paths(item, (*path, key))
     return found
 
 
@@ -135,25 +135,25 @@ junk = st.one_of(
 
 
 @settings(max_examples=150)
-@given(st.lists(st.tuples(st.sampled_from(spots(MESSAGE)), junk), min_size=1, max_size=4))
-def test_spoilt_messages_do_no_harm(changes) -> None:
-    """Give hands that can be sent, or none, whatever stands anywhere in a frame."""
-    spoilt = copy.deepcopy(MESSAGE)
+@given(st.lists(st.tuples(st.sampled_from(paths(MESSAGE)), junk), min_size=1, max_size=4))
+def test_corrupt_messages_give_only_valid_hands(changes) -> None:
+    """Return only hands that can be sent, whatever values a frame contains."""
+    corrupt = copy.deepcopy(MESSAGE)
     for path, value in changes:
-        place: Any = spoilt
+        container: Any = corrupt
         try:
             for key in path[:-1]:
-                place = place[key]
-            place[path[-1]] = value
+                container = container[key]
+            container[path[-1]] = value
         except (TypeError, KeyError, IndexError):
             continue
-    for frame in LeapHands().read(spoilt):
+    for frame in LeapHands().read(corrupt):
         encode(frame)
 
 
 @given(st.recursive(junk, lambda inner: st.dictionaries(st.sampled_from(list(MESSAGE)), inner)))
-def test_any_json_does_no_harm(content: Any) -> None:
-    """Give nothing of JSON that is no frame."""
+def test_any_json_gives_only_valid_hands(content: Any) -> None:
+    """Return only hands that can be sent from arbitrary JSON."""
     for frame in LeapHands().read(content):
         encode(frame)
 
@@ -161,8 +161,8 @@ def test_any_json_does_no_harm(content: Any) -> None:
 # Files ------------------------------------------------------------------------------------------
 
 
-def test_real_recordings_keep_their_measures(leap_recording: Path) -> None:
-    """Read every frame of real recordings: finite, ascending, of one hand of a human's size."""
+def test_real_recordings_have_constant_bone_lengths(leap_recording: Path) -> None:
+    """Read every frame of real recordings: finite, ascending, with one hand of human size."""
     frames = read_leap_file(leap_recording)
     times = [time for time, _ in frames]
     assert times == sorted(times)
@@ -174,15 +174,15 @@ def test_real_recordings_keep_their_measures(leap_recording: Path) -> None:
     bones = [joint for joint in range(26) if PARENTS[joint] >= 0]
     parents = [PARENTS[joint] for joint in bones]
     lengths = np.linalg.norm(positions[:, bones] - positions[:, parents], axis=2)
-    # What the device gives is constant to 0.01 mm; what is derived is as rigid.
+    # The device's bone lengths are constant to 0.01 mm, and inferred joints should be as rigid.
     assert np.ptp(lengths, axis=0).max() < 1e-4
     reference = reference_hand("right").positions
-    usual = np.linalg.norm(reference[bones] - reference[parents], axis=1)
-    assert np.all((lengths[0] > 0.6 * usual) & (lengths[0] < 1.6 * usual))
+    typical = np.linalg.norm(reference[bones] - reference[parents], axis=1)
+    assert np.all((lengths[0] > 0.6 * typical) & (lengths[0] < 1.6 * typical))
 
 
-def test_real_fingers_turn_no_faster_than_they_move(leap_recording: Path) -> None:
-    """Let no finger spin about itself from frame to frame: turns are those of its direction."""
+def test_real_fingers_do_not_roll(leap_recording: Path) -> None:
+    """Rotate finger bones between frames hardly more than their directions change."""
     hands = [hands[0] for _, hands in read_leap_file(leap_recording)]
     quaternions = np.array([hand.quaternions for hand in hands])
     forward = -matrices_from_quaternions(quaternions)[..., 2]
@@ -193,8 +193,8 @@ def test_real_fingers_turn_no_faster_than_they_move(leap_recording: Path) -> Non
     assert np.degrees(excess[:, list(FINGERS[0])]).max() < 30.0
 
 
-def test_file_is_read_packed_or_not_and_put_in_order(tmp_path: Path) -> None:
-    """Read .json and .json.gz, frames of any order, and leave out what is no frame."""
+def test_frames_of_a_file_are_sorted(tmp_path: Path) -> None:
+    """Read .json and .json.gz with frames in any order, and skip invalid ones."""
     frames = [message(leap_hand(), timestamp=time) for time in (3000, 1000, 2000)]
     content = json.dumps({"metadata": {}, "frames": [*frames, ["packed"], {"broken": 1}, None]})
     (tmp_path / "a.json").write_text(content)
@@ -205,7 +205,7 @@ def test_file_is_read_packed_or_not_and_put_in_order(tmp_path: Path) -> None:
 
 
 def test_packed_file_is_read(tmp_path: Path) -> None:
-    """Read later files, which keep values without names, and fingers without their type."""
+    """Read later files, which store values without keys, and fingers without a type."""
     hand_keys = ["id", "type", "direction", "palmNormal", "palmPosition", "confidence", "wrist"]
     joint_keys = ["handId", "id", "mcpPosition", "pipPosition", "dipPosition", "tipPosition"]
     names = ["timestamp", {"hands": [hand_keys]}, {"pointables": [joint_keys]}, {"box": ["size"]}]
@@ -228,19 +228,19 @@ def test_packed_file_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "no JSON"),
-        (b'{"frames": [["timestamp"], [1], [[[]]], {}]}', "no hand"),
-        (b"{", "no JSON"),
-        (b"[" * 100_000, "no JSON"),
+        (b"", "not valid JSON"),
+        (b'{"frames": [["timestamp"], [1], [[[]]], {}]}', "None of the 4 frames"),
+        (b"{", "not valid JSON"),
+        (b"[" * 100_000, "not valid JSON"),
         (b"[]", "no list of frames"),
         (b'{"frames": {}}', "no list of frames"),
-        (b'{"frames": [{"hands": 3}, 7]}', "no hand"),
+        (b'{"frames": [{"hands": 3}, 7]}', "None of the 2 frames"),
         (gzip.compress(b'{"frames": []}', mtime=0)[:-9], "cannot be read"),
         (b"\x1f\x8bnot packed at all", "cannot be read"),
     ],
 )
-def test_file_that_is_no_recording_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
-    """Say what is wrong with a file."""
+def test_invalid_file_is_refused(tmp_path: Path, content: bytes, reason: str) -> None:
+    """Explain what is wrong with a file."""
     path = tmp_path / "bad.json"
     path.write_bytes(content)
     with pytest.raises(TrackingError, match=reason):

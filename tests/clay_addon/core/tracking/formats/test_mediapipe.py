@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""MediaPipe's landmarks become hands in space."""
+"""Conversion of MediaPipe's landmarks to hands in space."""
 
 import json
 import math
@@ -18,14 +18,14 @@ from tactile_clay.tests.clay_addon.core.tracking.hands import flat_hand
 
 LANDMARKS = [WRIST, *(joint for finger in FINGERS for joint in finger[-4:])]
 WIDTH, HEIGHT, VIEW = 1280, 720, 70.0
-# Half a meter before the camera, fingers up, the palm to the camera.
+# Half a meter in front of the camera, fingers up, palm towards the camera.
 UP = np.array([np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
-PLACE = (0.06, -0.08, 0.5)
+WRIST_POSITION = (0.06, -0.08, 0.5)
 
 
 def entry(side: str, hand: np.ndarray, *, mirrored: bool = False, score: float = 0.9) -> dict:
-    """What MediaPipe says of a hand in a pinhole camera's picture."""
-    # The camera faces the person: its axes are right, down and away.
+    """MediaPipe's result for a hand in a pinhole camera's image."""
+    # The camera faces the user: its axes point right, down and away.
     points = hand[LANDMARKS, :3].astype(float) * [-1.0, -1.0, 1.0]
     focal = 0.5 / math.tan(math.radians(VIEW) / 2.0)
     image = points[:, :2] / points[:, 2:] * focal * [1.0, WIDTH / HEIGHT] + 0.5
@@ -43,16 +43,16 @@ def entry(side: str, hand: np.ndarray, *, mirrored: bool = False, score: float =
 
 
 def line(*entries: Any, **changes: Any) -> str:
-    """The worker's line of a picture."""
+    """The worker's line for an image."""
     record = {"time": 42, "width": WIDTH, "height": HEIGHT, "hands": list(entries)}
     return json.dumps(record | changes)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_hand_is_placed_before_the_camera(side: str, mirrored: bool) -> None:
-    """Find place and pose of a hand that a pinhole camera saw, mirrored or not."""
-    hand = flat_hand(side, PLACE, quaternion=UP)
+def test_hand_is_placed_in_front_of_the_camera(side: str, mirrored: bool) -> None:
+    """Find position and pose of a hand from a pinhole camera's image, mirrored or not."""
+    hand = flat_hand(side, WRIST_POSITION, quaternion=UP)
     reader = MediapipeHands(field_of_view=VIEW, mirrored=mirrored)
     (frame,) = reader.read(line(entry(side, hand, mirrored=mirrored)))
     assert (frame.side, frame.source, frame.source_time) == (side, "mediapipe", 42)
@@ -61,25 +61,25 @@ def test_hand_is_placed_before_the_camera(side: str, mirrored: bool) -> None:
     assert np.degrees(angles_between(frame.quaternions, hand[:, 3:7])).max() < 0.5
 
 
-def test_breathing_hand_comes_nearer_no_larger() -> None:
-    """Place a hand that MediaPipe takes for smaller nearer, so that it covers the same picture."""
-    hand = flat_hand("right", PLACE, quaternion=UP)
+def test_hand_estimated_smaller_is_placed_nearer() -> None:
+    """Place a hand of half the estimated size at half the distance, so that it fits the image."""
+    hand = flat_hand("right", WRIST_POSITION, quaternion=UP)
     seen = entry("right", hand)
     seen["world"] = (0.5 * np.array(seen["world"])).tolist()
     (frame,) = MediapipeHands(field_of_view=VIEW).read(line(seen))
     assert frame.positions[WRIST, 2] == pytest.approx(0.25, abs=0.01)
 
 
-def test_surer_of_two_hands_of_a_side_is_believed() -> None:
-    """Give one hand of each side."""
-    hand = flat_hand("right", PLACE, quaternion=UP)
+def test_of_two_hands_of_a_side_the_more_confident_is_kept() -> None:
+    """Return at most one hand per side."""
+    hand = flat_hand("right", WRIST_POSITION, quaternion=UP)
     other = flat_hand("right", (-0.1, 0.0, 0.6), quaternion=UP)
     seen = line(entry("right", other, score=0.6), entry("right", hand, score=0.95))
     (frame,) = MediapipeHands(field_of_view=VIEW).read(seen)
     assert frame.positions[WRIST, 0] == pytest.approx(0.06, abs=1e-3)
 
 
-GOOD = entry("right", flat_hand("right", PLACE, quaternion=UP))
+GOOD = entry("right", flat_hand("right", WRIST_POSITION, quaternion=UP))
 
 
 @pytest.mark.parametrize(
@@ -101,16 +101,16 @@ GOOD = entry("right", flat_hand("right", PLACE, quaternion=UP))
         "[" * 50_000,
     ],
 )
-def test_line_that_is_no_hand_is_counted(bad: str) -> None:
-    """Count what is no picture or no hand."""
+def test_invalid_line_is_counted(bad: str) -> None:
+    """Count invalid images and hands."""
     reader = MediapipeHands()
     assert reader.read(bad) == []
     assert reader.rejected == 1
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.characters(max_codepoint=127)), max_size=8))
-def test_spoilt_lines_do_no_harm(changes) -> None:
-    """Give hands that can be sent, or none."""
+def test_corrupt_lines_give_only_valid_hands(changes) -> None:
+    """Return only hands that can be sent."""
     text = list(line(GOOD))
     for place, character in changes:
         text[int(place * (len(text) - 1))] = character

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which bone is which joint."""
+"""Joints and sides of hands by the names of bones."""
 
 import pytest
 
-from tactile_clay.clay_addon.core.tracking.hand.bone_names import joints_of_bones, side_of_bones
+from tactile_clay.clay_addon.core.tracking.hand.bone_names import joints_of_bones, side_of_rig
 from tactile_clay.clay_addon.core.tracking.protocol.joints import JOINT_COUNT, JOINT_NAMES
 
 
 def test_openxr_names_are_all_joints() -> None:
-    """Know each of OpenXR's names, in short and in full."""
+    """Recognize each of OpenXR's names, short and in full."""
     full = [f"XR_HAND_JOINT_{name.upper()}_EXT" for name in JOINT_NAMES]
     assert list(joints_of_bones(JOINT_NAMES).values()) == list(range(JOINT_COUNT))
     assert list(joints_of_bones(full).values()) == list(range(JOINT_COUNT))
@@ -37,13 +37,15 @@ def test_openxr_names_are_all_joints() -> None:
         ("index", None),
     ],
 )
-def test_bones_are_known_by_their_names(name: str, joint: int | None) -> None:
-    """Know OpenXR's, WebXR's, Rigify's and Mixamo's names, and no others."""
+def test_bones_are_recognized_by_name(name: str, joint: int | None) -> None:
+    """Recognize names of OpenXR, WebXR, Rigify and Mixamo, and no others."""
     assert joints_of_bones([name]).get(name) == joint
 
 
-def test_sides_are_known_by_their_names() -> None:
-    """Read the side from how bones are called."""
-    assert side_of_bones(["hand.L", "f_index.01.L"]) == "left"
-    assert side_of_bones(["mixamorig:RightHand"]) == "right"
-    assert side_of_bones(JOINT_NAMES) == ""
+def test_sides_are_recognized_by_name() -> None:
+    """Read the side from the rig's name or else from most of its bones' names."""
+    assert side_of_rig("Armature", ["hand.L", "f_index.01.L"]) == "left"
+    assert side_of_rig("Armature", ["mixamorig:RightHand"]) == "right"
+    assert side_of_rig("lefthand", []) == "left"
+    assert side_of_rig("r_hand", ["hand.L"]) == "right"
+    assert side_of_rig("Hand", JOINT_NAMES) == ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Two hands, and trackers that mistake one for the other."""
+"""Following two hands, and trackers that confuse them."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ OTHER = {"left": "right", "right": "left"}
 
 
 class Scene:
-    """Both hands before a tracker, moving slowly."""
+    """Both hands in front of a tracker, moving slowly."""
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
@@ -23,7 +23,7 @@ class Scene:
         self.number = 0
 
     def show(self, frames: int, *, sides=SIDES, swapped: bool = False):
-        """Show hands for a number of frames; the hands at the end."""
+        """Show hands for a number of frames, and return the hands at the end."""
         for _ in range(frames):
             self.number += 1
             now = self.clock.turn(9)
@@ -36,12 +36,12 @@ class Scene:
 
 @pytest.fixture
 def scene(clock: Clock) -> Scene:
-    """Hands that have not come yet."""
+    """A scene in which no hand has been shown yet."""
     return Scene(clock)
 
 
 def at_home(hand) -> bool:
-    """Whether a hand is where it belongs."""
+    """Whether a hand is near its own position."""
     return float(np.linalg.norm(hand.positions[WRIST] - HOMES[hand.side])) < 0.05
 
 
@@ -53,18 +53,18 @@ def test_both_hands_are_live_each_on_its_side(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 3, 8])
-def test_sides_swapped_for_a_few_frames_do_no_harm(scene: Scene, frames: int) -> None:
-    """Leave each hand where it is, with its contact, and go on when the tracker is right again."""
+def test_short_swap_is_ignored(scene: Scene, frames: int) -> None:
+    """Keep each hand's pose and contact until the tracker is right again."""
     scene.show(50)
     during = scene.show(frames, swapped=True)
     assert all(at_home(hand) and hand.contact == 1.0 for hand in during.values())
     after = scene.show(1)
     assert all(hand.state == "live" and hand.contact == 1.0 for hand in after.values())
-    assert scene.tracker.set_aside == 2 * frames
+    assert scene.tracker.ignored == 2 * frames
 
 
-def test_single_hand_called_by_the_other_name_for_a_few_frames(scene: Scene) -> None:
-    """Let no second hand appear where the first one is."""
+def test_short_swap_of_a_single_hand_shows_no_second_hand(scene: Scene) -> None:
+    """Ignore frames that label the only hand as the other side."""
     scene.show(50, sides=["right"])
     during = scene.show(8, sides=["right"], swapped=True)
     assert during["left"] is None
@@ -72,8 +72,8 @@ def test_single_hand_called_by_the_other_name_for_a_few_frames(scene: Scene) -> 
     assert scene.show(1, sides=["right"])["right"].contact == 1.0
 
 
-def test_swap_that_lasts_is_believed_without_contact(scene: Scene) -> None:
-    """Move the hands after a quarter of a second, and let them touch as after a jump."""
+def test_lasting_swap_is_accepted_like_a_jump(scene: Scene) -> None:
+    """Move the hands after a quarter of a second, with contact growing from zero."""
     scene.show(50)
     touching = []
     for _ in range(40):
@@ -84,8 +84,8 @@ def test_swap_that_lasts_is_believed_without_contact(scene: Scene) -> None:
     assert max(np.diff(touching[::2])) < 0.05
 
 
-def test_one_hand_seen_as_both_stays_one(scene: Scene) -> None:
-    """Never show a left hand inside the right one."""
+def test_hand_reported_as_both_sides_stays_one(scene: Scene) -> None:
+    """Never show a left hand at the same position as the right one."""
     scene.show(50, sides=["right"])
     for _ in range(100):
         scene.number += 1
@@ -98,7 +98,7 @@ def test_one_hand_seen_as_both_stays_one(scene: Scene) -> None:
 
 
 def test_hands_may_come_together_and_cross(scene: Scene) -> None:
-    """Keep both hands live while they touch, since each has moved there."""
+    """Keep both hands live while they touch, because each has moved there continuously."""
     scene.show(50)
     for step in np.linspace(1.0, -1.0, 120):
         scene.number += 1
@@ -108,11 +108,11 @@ def test_hands_may_come_together_and_cross(scene: Scene) -> None:
             scene.tracker.take(frame_at(now, scene.number, side, place), now)
     hands = [shown(scene.tracker.hand(side, now)) for side in SIDES]
     assert all(hand.state == "live" and hand.contact == 1.0 for hand in hands)
-    assert scene.tracker.set_aside == 0
+    assert scene.tracker.ignored == 0
 
 
-def test_hand_lost_beside_the_other_comes_back_at_once(scene: Scene) -> None:
-    """Take a hand back where it was lost, though that is where hands clap."""
+def test_hand_lost_next_to_the_other_reappears_at_once(scene: Scene) -> None:
+    """Accept a hand where it was lost, even close to the other one."""
     together = {"left": np.array([-0.03, 0.2, 0.0]), "right": np.array([0.03, 0.2, 0.0])}
 
     def show(frames: int, confidence: float) -> None:
@@ -121,8 +121,9 @@ def test_hand_lost_beside_the_other_comes_back_at_once(scene: Scene) -> None:
             now = scene.clock.turn(9)
             for side in SIDES:
                 place = together[side] + [0.0, 1e-5 * scene.number, 0.0]
-                sure = confidence if side == "left" else 1.0
-                frame = frame_at(now, scene.number, side, place, confidence=sure)
+                frame = frame_at(
+                    now, scene.number, side, place, confidence=confidence if side == "left" else 1.0
+                )
                 scene.tracker.take(frame, now)
 
     show(60, 1.0)
@@ -145,7 +146,7 @@ steps = st.tuples(
 @settings(max_examples=60)
 @given(st.lists(steps, max_size=40))
 def test_no_stale_hand_is_ever_shown_as_live(steps) -> None:
-    """Call live only what was seen well within 0.1 s, and never let contact grow by leaps."""
+    """Show a hand as live only within 0.1 s of a trusted frame, and never let contact jump up."""
     clock, tracker = Clock(), HandTracker()
     seen = dict.fromkeys(SIDES, -1)
     contacts = dict.fromkeys(SIDES, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands on rigs: the tracker's pose, the rig's own lengths."""
+"""Retargeting: the tracker's pose with the rig's bone lengths."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def webxr_name(name: str) -> str:
 
 
 def bone_lengths(posed: dict[str, np.ndarray], target: HandTarget) -> np.ndarray:
-    """Distance of each bone's head from that of the joint which carries it [m]."""
+    """Distance of each bone's head from its parent joint's [m]."""
     name_of = {joint: name for name, joint in target.joints.items()}
     return np.array(
         [
@@ -46,25 +46,25 @@ def bone_lengths(posed: dict[str, np.ndarray], target: HandTarget) -> np.ndarray
     )
 
 
-def test_hand_of_the_same_size_lies_where_it_was_seen() -> None:
-    """Put every bone at its joint, with its axes, turned to Z up once."""
+def test_hand_of_the_same_size_is_reproduced() -> None:
+    """Place every bone at its joint with the joint's axes, converted to Z up."""
     hand = flat_hand(at=(0.1, 0.3, -0.2), quaternion=TURN)
     posed = HandTarget(rig_bones(), "right").posed(hand[:, :3], hand[:, 3:7])
-    turns = matrices_from_quaternions(hand[:, 3:7])
-    for number, name in enumerate(JOINT_NAMES):
-        assert np.allclose(posed[name][:3, 3], Z_UP @ hand[number, :3], atol=1e-6)
-        assert np.allclose(posed[name][:3, :3], Z_UP @ turns[number], atol=1e-6)
+    rotations = matrices_from_quaternions(hand[:, 3:7])
+    for joint, name in enumerate(JOINT_NAMES):
+        assert np.allclose(posed[name][:3, 3], Z_UP @ hand[joint, :3], atol=1e-6)
+        assert np.allclose(posed[name][:3, :3], Z_UP @ rotations[joint], atol=1e-6)
 
 
-def test_up_and_forward_are_turned_once() -> None:
-    """Make the tracker's up Blender's Z and its depth towards the person Blender's -Y."""
+def test_y_up_becomes_z_up() -> None:
+    """Convert the tracker's Y to Blender's Z, and its Z towards the user to Blender's -Y."""
     assert (Z_UP @ [0, 1, 0]).tolist() == [0, 0, 1]
     assert (Z_UP @ [0, 0, 1]).tolist() == [0, -1, 0]
 
 
 @pytest.mark.parametrize("size", [0.8, 1.25])
 def test_lengths_are_the_rigs_own(size: float) -> None:
-    """Keep the rig's lengths with a person of another size, the palms lying on each other."""
+    """Keep the rig's bone lengths for a hand of another size, and align the palms."""
     target = HandTarget(rig_bones(), "right")
     rest = bone_lengths(rig_bones(), target)
     hand = flat_hand(quaternion=TURN, size=size)
@@ -76,21 +76,21 @@ def test_lengths_are_the_rigs_own(size: float) -> None:
     assert np.allclose(seen.mean(axis=0), shown.mean(axis=0), atol=1e-6)
 
 
-def test_breathing_bones_do_not_show() -> None:
-    """Give the same pose from a tracker whose joints slide along its bones."""
+def test_fluctuating_bone_lengths_have_no_effect() -> None:
+    """Give the same pose if the tracker's joints slide along its bones."""
     target = HandTarget(rig_bones(), "right")
     hand = flat_hand(quaternion=TURN)
-    still = target.posed(hand[:, :3], hand[:, 3:7])
-    breathing = hand.copy()
+    expected = target.posed(hand[:, :3], hand[:, 3:7])
+    stretched = hand.copy()
     for finger in FINGERS[1:]:
         for joint in finger[2:]:
-            breathing[joint, :3] += 0.5 * (hand[joint, :3] - hand[PARENTS[joint], :3])
-    moved = target.posed(breathing[:, :3], breathing[:, 3:7])
-    assert all(np.allclose(still[name], moved[name], atol=1e-7) for name in still)
+            stretched[joint, :3] += 0.5 * (hand[joint, :3] - hand[PARENTS[joint], :3])
+    posed = target.posed(stretched[:, :3], stretched[:, 3:7])
+    assert all(np.allclose(expected[name], posed[name], atol=1e-7) for name in expected)
 
 
-def test_webxr_hand_without_palm_and_parents_is_known() -> None:
-    """Find all joints of the WebXR generic hands, which lack the palm, in any order."""
+def test_webxr_hand_without_palm_and_parents_is_recognized() -> None:
+    """Find all joints of the generic WebXR hands, which lack the palm, in any order."""
     bones = rig_bones(name=webxr_name)
     del bones["palm"]
     names = sorted(bones)
@@ -103,11 +103,11 @@ def test_webxr_hand_without_palm_and_parents_is_known() -> None:
     assert np.allclose(posed["index-finger-tip"][:3, 3], Z_UP @ hand[10, :3], atol=1e-6)
 
 
-def test_rig_with_axes_of_its_own_bends_the_same() -> None:
-    """Derive joints' axes from how bones lie where the bones' own are others, as Rigify's."""
+def test_rig_with_other_axes_gets_the_same_pose() -> None:
+    """Derive the joints' axes from the rest pose if the bones have other axes, as in Rigify."""
     plain = HandTarget(rig_bones(), "right")
     swap = np.eye(4)
-    # Y along the bone and Z out of the back, as animators have it.
+    # Y along the bone and Z out of the back of the hand, as in animation rigs.
     swap[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     other = HandTarget({name: matrix @ swap for name, matrix in rig_bones().items()}, "right")
     hand = flat_hand(quaternion=TURN)
@@ -119,16 +119,16 @@ def test_rig_with_axes_of_its_own_bends_the_same() -> None:
         assert cosine > np.cos(np.radians(1.0))
 
 
-def test_joints_that_are_not_valid_follow_what_carries_them() -> None:
-    """Keep a finger straight on its knuckle when its joints are not to be used."""
+def test_invalid_joints_follow_their_parents() -> None:
+    """Keep a finger rigid beyond its knuckle if its joints are not valid."""
     target = HandTarget(rig_bones(), "right")
     hand = flat_hand(quaternion=TURN)
     whole = target.posed(hand[:, :3], hand[:, 3:7])
     valid = np.ones(JOINT_COUNT, bool)
     valid[[8, 9, 10]] = False
     hand[[8, 9, 10]] = [0, 0, 0, 0, 0, 0, 1, 0]
-    guessed = target.posed(hand[:, :3], hand[:, 3:7], valid)
-    assert all(np.allclose(whole[name], guessed[name], atol=1e-6) for name in whole)
+    inferred = target.posed(hand[:, :3], hand[:, 3:7], valid)
+    assert all(np.allclose(whole[name], inferred[name], atol=1e-6) for name in whole)
 
 
 def test_scale_of_the_rest_pose_is_kept() -> None:
@@ -140,15 +140,11 @@ def test_scale_of_the_rest_pose_is_kept() -> None:
 
 
 def test_real_recordings_keep_the_rigs_lengths(leap_recording: Path) -> None:
-    """Run recordings through tracker and retargeting: finite, of constant lengths, on the person.
-
-    The lengths are constant to 1e-4 of a meter by far, and fingertips of a hand of another size
-    stay within two centimeters of the person's.
-    """
+    """Retarget recordings: finite, with constant bone lengths, fingertips near the tracked ones."""
     target = HandTarget(rig_bones(), "right")
     rest = bone_lengths(rig_bones(), target)
     tracker = HandTracker()
-    apart = []
+    distances = []
     for entry in read_recording(leap_recording):
         tracker.take(entry.frame, entry.time)
         hand = tracker.hand("right", entry.time)
@@ -157,34 +153,34 @@ def test_real_recordings_keep_the_rigs_lengths(leap_recording: Path) -> None:
         posed = target.posed(hand.positions, hand.quaternions, hand.valid)
         assert all(np.isfinite(matrix).all() for matrix in posed.values())
         assert np.allclose(bone_lengths(posed, target), rest, atol=1e-6)
-        apart += [
+        distances += [
             np.linalg.norm(
                 posed[JOINT_NAMES[finger[-1]]][:3, 3] - Z_UP @ hand.positions[finger[-1]]
             )
             for finger in FINGERS
         ]
-    assert len(apart) > 1000
-    assert max(apart) < 0.025
+    assert len(distances) > 1000
+    assert max(distances) < 0.025
 
 
-def test_rig_that_is_no_hand_is_refused() -> None:
-    """Say which bone is missing, and which there are."""
+def test_rig_that_is_not_a_hand_is_refused() -> None:
+    """Name the missing bone and list the existing ones."""
     bones = rig_bones()
     with pytest.raises(RetargetError, match=r"no bone for the wrist.*Hips"):
         HandTarget({"Hips": np.eye(4)}, "right")
     with pytest.raises(RetargetError, match=r"no finger bones"):
         HandTarget({"wrist": bones["wrist"]}, "right")
     flat = {**bones, "index_distal": np.diag([0.0, 1.0, 1.0, 1.0])}
-    with pytest.raises(RetargetError, match="'index_distal' has no size"):
+    with pytest.raises(RetargetError, match="'index_distal' is not finite, or its scale is zero"):
         HandTarget(flat, "right")
     tangled = {name: matrix @ np.diag([-1.0, 1.0, -1.0, 1.0]) for name, matrix in bones.items()}
     tangled["ring_distal"] = tangled["ring_intermediate"]
-    with pytest.raises(RetargetError, match="one spot"):
+    with pytest.raises(RetargetError, match="same position"):
         HandTarget(tangled, "right")
 
 
-def test_reference_is_its_own_rest() -> None:
-    """Leave a rig at rest when the reference hand itself is seen."""
+def test_reference_hand_gives_the_rest_pose() -> None:
+    """Leave a rig in its rest pose if the tracked hand is the reference hand."""
     reference = reference_hand("left")
     hand = flat_hand("left", (0.0, 0.0, 0.0))
     posed = HandTarget(rig_bones("left"), "left").posed(reference.positions, hand[:, 3:7])

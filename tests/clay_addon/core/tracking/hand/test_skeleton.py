@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Joints with orientations from bare positions."""
+"""Completing hands from joint positions alone."""
 
 from itertools import pairwise
 
@@ -25,7 +25,7 @@ METACARPALS = [finger[0] for finger in FINGERS[1:]]
 
 
 def posed_hand(side: str, pose: str) -> tuple[np.ndarray, np.ndarray]:
-    """Positions [26, 3] and axes [26, 3, 3] of the generated hand in a pose, with OpenXR's axes."""
+    """Positions [26, 3] and axes [26, 3, 3] of the default hand in a pose, with OpenXR's axes."""
     shape = hand_shape(side, pose=pose)
     turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     positions = np.array([turn @ shape.joints[name] for name in JOINT_NAMES])
@@ -34,7 +34,7 @@ def posed_hand(side: str, pose: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def without(positions: np.ndarray, *joints: int) -> np.ndarray:
-    """Positions of which some are not known."""
+    """Positions with these joints unknown."""
     positions = positions.astype(np.float64)
     positions[list(joints)] = np.nan
     return positions
@@ -42,8 +42,8 @@ def without(positions: np.ndarray, *joints: int) -> np.ndarray:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("size", [0.7, 1.0, 1.3])
-def test_what_is_missing_is_where_it_must_be(side: str, size: float) -> None:
-    """Find palm, wrist and metacarpals of a turned hand of another size to the micrometer."""
+def test_missing_joints_are_reconstructed(side: str, size: float) -> None:
+    """Find palm, wrist and metacarpals of a rotated hand of another size to the micrometer."""
     whole = flat_hand(side, (0.1, 0.3, -0.2), quaternion=TURN, size=size)
     found = complete_hand(without(whole[:, :3], PALM, WRIST, *METACARPALS), side)
     assert np.allclose(found[:, :3], whole[:, :3], atol=1e-6)
@@ -53,8 +53,8 @@ def test_what_is_missing_is_where_it_must_be(side: str, size: float) -> None:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("pose", list(POSES))
-def test_axes_of_a_posed_hand_are_those_it_was_posed_with(side: str, pose: str) -> None:
-    """Point -Z along each bone exactly, and Y out of the finger's back."""
+def test_axes_of_a_posed_hand_are_reconstructed(side: str, pose: str) -> None:
+    """Point -Z along each bone exactly, and Y roughly out of the finger's back."""
     positions, axes = posed_hand(side, pose)
     found = complete_hand(without(positions, PALM, *METACARPALS), side)
     rotations = matrices_from_quaternions(found[:, 3:7])
@@ -62,16 +62,16 @@ def test_axes_of_a_posed_hand_are_those_it_was_posed_with(side: str, pose: str) 
         for joint, following in pairwise(finger):
             bone = positions[following] - positions[joint]
             bone /= np.linalg.norm(bone)
-            # Floats of 32 bits tell a direction to some hundredths of a degree.
+            # In float32, directions are accurate to some hundredths of a degree.
             assert -rotations[joint][:, 2] @ bone > 1.0 - 1e-6
         for joint in finger[-4:]:
-            backs = float(rotations[joint][:, 1] @ axes[joint][:, 1])
-            # A thumb's turn about itself shows in the plane it bends in alone.
-            assert backs > np.cos(np.radians(20.0 if finger is FINGERS[0] else 15.0))
+            cosine = float(rotations[joint][:, 1] @ axes[joint][:, 1])
+            # Only the plane in which a thumb bends reveals its roll.
+            assert cosine > np.cos(np.radians(20.0 if finger is FINGERS[0] else 15.0))
 
 
-def test_bent_finger_bends_about_its_own_axis() -> None:
-    """Give the joints of a curled finger one common axis, the fingers' hinge."""
+def test_joints_of_a_bent_finger_share_an_axis() -> None:
+    """Give the joints of a curled finger a common X axis."""
     positions, _ = posed_hand("right", "point")
     rotations = matrices_from_quaternions(complete_hand(positions, "right")[:, 3:7])
     for finger in FINGERS[2:]:
@@ -81,7 +81,7 @@ def test_bent_finger_bends_about_its_own_axis() -> None:
 
 
 def test_given_radii_and_palm_are_kept() -> None:
-    """Take a tracker's own radii and palm where it has them."""
+    """Use the tracker's radii and palm if it gives them."""
     whole = flat_hand()
     radii = np.full(JOINT_COUNT, np.nan)
     radii[7] = 0.02
@@ -93,23 +93,23 @@ def test_given_radii_and_palm_are_kept() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "reason"),
+    ("corrupt", "reason"),
     [
         (lambda points: points.__setitem__(8, np.nan), "missing"),
-        (lambda points: points.__setitem__(8, points[7]), "one spot"),
-        (lambda points: points.__setitem__(slice(None), 0.0), "no size"),
-        (lambda points: points.__imul__(0.1), "no size"),
+        (lambda points: points.__setitem__(8, points[7]), "same position"),
+        (lambda points: points.__setitem__(slice(None), 0.0), "size of the palm"),
+        (lambda points: points.__imul__(0.1), "size of the palm"),
         (lambda points: points.__setitem__(8, 1e9), "too far away"),
         (lambda points: points.__setitem__(8, 1.5), "far from each other"),
-        (lambda points: points.__setitem__((*KNUCKLES, WRIST, 2), points[7]), "no size|one spot"),
+        (
+            lambda points: points.__setitem__([*KNUCKLES, WRIST, 2], points[7]),
+            "size of the palm|same position",
+        ),
     ],
 )
-def test_points_that_make_no_hand_are_refused(spoil, reason) -> None:
-    """Refuse missing, fallen together and far points."""
+def test_points_that_are_not_a_hand_are_refused(corrupt, reason) -> None:
+    """Refuse missing, coinciding and distant points."""
     points = flat_hand()[:, :3].astype(np.float64)
-    if reason == "no size|one spot":
-        points[[*KNUCKLES, WRIST, 2]] = points[7]
-    else:
-        spoil(points)
+    corrupt(points)
     with pytest.raises(SkeletonError, match=reason):
         complete_hand(points, "right")

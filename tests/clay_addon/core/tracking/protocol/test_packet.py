@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The datagram: what goes in comes out, and nothing else gets in."""
+"""The datagram: encoding, decoding and validation."""
 
 import struct
 from dataclasses import replace
@@ -24,7 +24,7 @@ GOOD = encode(frame_at(123_456_789, 77, "left", confidence=0.75, tracked=0b101))
 
 
 def test_layout_is_as_documented() -> None:
-    """Lay the fields out at the offsets that senders of one's own are told."""
+    """Place the fields at the documented offsets."""
     assert PACKET_SIZE == len(GOOD) == 864
     assert GOOD[:8] == MAGIC + bytes([1, SOURCES.index("leap"), 0, 1])
     assert struct.unpack_from("<IqfII", GOOD, 8) == (77, 123_456_789, 0.75, ALL_JOINTS, 0b101)
@@ -40,13 +40,13 @@ def test_layout_is_as_documented() -> None:
     valid=st.integers(0, ALL_JOINTS),
     place=st.tuples(*[st.floats(-50.0, 50.0)] * 3),
 )
-def test_frames_survive_the_way(side, sequence, time, confidence, valid, place) -> None:
-    """Read what was written, joints to the last bit but for their quaternions' length."""
+def test_frames_survive_encoding(side, sequence, time, confidence, valid, place) -> None:
+    """Decode what was encoded, bit by bit except for the normalization of quaternions."""
     frame = frame_at(time, sequence, side, place, confidence=confidence, valid=valid)
     read = decode(encode(frame))
     assert (read.side, read.sequence, read.source_time) == (side, sequence, time)
     assert (read.confidence, read.valid, read.source) == (confidence, valid, "leap")
-    usable = [number for number in range(JOINT_COUNT) if valid >> number & 1]
+    usable = [joint for joint in range(JOINT_COUNT) if valid >> joint & 1]
     assert np.array_equal(read.positions[usable], frame.positions[usable])
     assert np.allclose(read.quaternions[usable], frame.quaternions[usable], atol=1e-6)
     assert np.allclose(np.linalg.norm(read.quaternions, axis=1), 1.0, atol=1e-6)
@@ -55,16 +55,16 @@ def test_frames_survive_the_way(side, sequence, time, confidence, valid, place) 
 
 @given(st.binary(max_size=2000) | st.binary(min_size=PACKET_SIZE, max_size=PACKET_SIZE))
 def test_noise_is_refused(data: bytes) -> None:
-    """Refuse bytes that are no hand, in one way only."""
+    """Refuse random bytes with a PacketError."""
     with pytest.raises(PacketError):
         decode(data)
 
 
 @given(st.integers(0, PACKET_SIZE - 1), st.integers(0, 255))
-def test_changed_byte_is_refused_or_gives_a_hand(place: int, value: int) -> None:
-    """Give a finite hand or refuse, whatever one byte becomes."""
+def test_changed_byte_is_refused_or_gives_a_valid_hand(offset: int, value: int) -> None:
+    """Return a finite hand or refuse the datagram, whatever the value of a byte."""
     data = bytearray(GOOD)
-    data[place] = value
+    data[offset] = value
     try:
         frame = decode(bytes(data))
     except PacketError:
@@ -82,12 +82,12 @@ def test_changed_byte_is_refused_or_gives_a_hand(place: int, value: int) -> None
         (9, 2, -101.0, "too far"),
         (9, 7, 0.3, "radius"),
         (9, 7, -0.001, "radius"),
-        (25, 6, 1.5, "not unit"),
-        (25, 6, 3e38, "not unit"),
+        (25, 6, 1.5, "not normalized"),
+        (25, 6, 3e38, "not normalized"),
     ],
 )
-def test_joints_that_no_hand_has_are_refused(joint, column, value, reason) -> None:
-    """Refuse values that are not finite, huge, or no rotation, and say which."""
+def test_implausible_joints_are_refused(joint, column, value, reason) -> None:
+    """Refuse values that are not finite, huge, or not a rotation, and say why."""
     joints = flat_hand()
     joints[joint, column] = value
     with pytest.raises(PacketError, match=reason):
@@ -102,30 +102,30 @@ def test_joints_that_no_hand_has_are_refused(joint, column, value, reason) -> No
         ({"confidence": float("nan")}, "confidence"),
         ({"source_time": -1}, "source time"),
         ({"source_time": 1 << 70}, "does not fit"),
-        ({"valid": 1 << 26}, "not there"),
+        ({"valid": 1 << 26}, "do not exist"),
         ({"tracked": -1}, "does not fit"),
     ],
 )
-def test_headers_that_make_no_sense_are_refused(changes, reason) -> None:
-    """Refuse a header out of bounds."""
+def test_invalid_headers_are_refused(changes, reason) -> None:
+    """Refuse header fields out of range."""
     with pytest.raises(PacketError, match=reason):
         encode(replace(frame_at(1), **changes))
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "reason"),
+    ("offset", "value", "reason"),
     [(0, 0, "magic"), (4, 2, "version"), (6, 2, "side"), (7, 2, "active")],
 )
-def test_foreign_headers_are_refused(place, value, reason) -> None:
-    """Refuse another format, another version, and a third hand."""
+def test_foreign_headers_are_refused(offset, value, reason) -> None:
+    """Refuse another format, another version, and a third side."""
     data = bytearray(GOOD)
-    data[place] = value
+    data[offset] = value
     with pytest.raises(PacketError, match=reason):
         decode(data)
 
 
-def test_joints_that_are_not_valid_say_nothing() -> None:
-    """Put a joint at rest whose bit is not set, whatever stands there."""
+def test_invalid_joints_are_reset() -> None:
+    """Reset joints whose valid bit is not set, whatever their values."""
     joints = flat_hand()
     joints[5] = [1e9, 0, 0, 0, 0, 0, 0, 5.0]
     frame = decode(encode(frame_at(1, joints=joints, valid=ALL_JOINTS & ~(1 << 5))))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The receiver: loopback alone, never waiting, never raising."""
+"""The receiver: only loopback, without blocking or raising."""
 
 import random
 import socket
@@ -26,12 +26,12 @@ def wire(receiver: Receiver) -> Iterator[socket.socket]:
 
 
 def packet(number: int, side: str = "right", **options) -> bytes:
-    """A datagram of a hand."""
+    """The datagram of a hand."""
     return encode(frame_at(number * MILLISECOND, number, side, **options))
 
 
-def test_it_listens_on_loopback_alone(receiver: Receiver) -> None:
-    """Bind to 127.0.0.1, and hear nothing that is sent to another address of this machine."""
+def test_it_listens_only_on_loopback(receiver: Receiver) -> None:
+    """Bind to 127.0.0.1, and receive nothing sent to another address of this machine."""
     host, port = receiver.address
     assert host == "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
@@ -40,13 +40,13 @@ def test_it_listens_on_loopback_alone(receiver: Receiver) -> None:
     assert receiver.rejected == 0
 
 
-def test_nothing_there_is_no_wait(receiver: Receiver) -> None:
-    """Return at once with nothing."""
+def test_it_does_not_wait(receiver: Receiver) -> None:
+    """Return nothing at once if nothing has arrived."""
     assert receiver.drain() == []
 
 
-def test_news_come_in_order(receiver: Receiver, wire: socket.socket) -> None:
-    """Return each hand's frames ascending, without what is old or double."""
+def test_new_frames_are_returned_in_order(receiver: Receiver, wire: socket.socket) -> None:
+    """Return each hand's frames ascending, without old ones and duplicates."""
     for number in (1, 3, 2, 3, 4):
         wire.send(packet(number))
         wire.send(packet(number, "left"))
@@ -58,7 +58,7 @@ def test_news_come_in_order(receiver: Receiver, wire: socket.socket) -> None:
 
 
 def test_flood_is_survived(receiver: Receiver, wire: socket.socket) -> None:
-    """Look at a bounded number at a time, and find the hand again after 10,000 datagrams."""
+    """Process a bounded number at a time, and find the hand again after 10,000 datagrams."""
     noise = random.Random(7)
     for number in range(10_000):
         if number % 3:
@@ -74,8 +74,8 @@ def test_flood_is_survived(receiver: Receiver, wire: socket.socket) -> None:
     assert arrival.frame.sequence == 20_000
 
 
-def test_what_is_no_hand_is_counted_by_its_reason(receiver: Receiver, wire: socket.socket) -> None:
-    """Count short, long, foreign and broken datagrams, and raise nothing."""
+def test_invalid_datagrams_are_counted_by_reason(receiver: Receiver, wire: socket.socket) -> None:
+    """Count short, long, foreign and corrupt datagrams without raising."""
     broken = bytearray(packet(1))
     broken[40:44] = np.float32(np.nan).tobytes()
     wrong = bytearray(packet(1))
@@ -99,7 +99,7 @@ mutations = st.lists(
 @settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(mutations, st.integers(0, PACKET_SIZE)), max_size=20))
 def test_mangled_datagrams_never_raise(receiver: Receiver, wire: socket.socket, datagrams) -> None:
-    """Give finite hands or nothing, whatever happens to datagrams on their way."""
+    """Return finite hands or nothing from corrupt datagrams."""
     tracker = HandTracker()
     for number, (changes, cut) in enumerate(datagrams):
         data = bytearray(packet(number))
@@ -113,7 +113,7 @@ def test_mangled_datagrams_never_raise(receiver: Receiver, wire: socket.socket, 
 
 
 def test_stalled_receiver_shows_no_stale_hand(clock: Clock) -> None:
-    """Call a hand lost that was seen before Blender stalled, though its datagrams wait there."""
+    """Show a hand as lost whose datagrams were queued while Blender stalled."""
     with Receiver(0, clock=clock) as receiver, socket.socket(type=socket.SOCK_DGRAM) as wire:
         wire.connect(receiver.address)
         tracker = HandTracker()
@@ -140,8 +140,8 @@ def test_stalled_receiver_shows_no_stale_hand(clock: Clock) -> None:
         assert look() == "live"
 
 
-def test_rate_and_latency_are_told(clock: Clock) -> None:
-    """Tell frames a second, and the delay where the clocks are the same."""
+def test_rate_and_latency_are_measured(clock: Clock) -> None:
+    """Measure the frame rate, and the delay if the clocks are the same."""
     with Receiver(0, clock=clock) as receiver, socket.socket(type=socket.SOCK_DGRAM) as wire:
         wire.connect(receiver.address)
         assert receiver.latency("right") is None
@@ -158,8 +158,8 @@ def test_rate_and_latency_are_told(clock: Clock) -> None:
 
 
 def test_port_in_use_is_explained(receiver: Receiver) -> None:
-    """Say that another Blender has the port, and what to do."""
-    with pytest.raises(TrackingError, match=r"in use: another Blender.*another port"):
+    """Name the likely cause and what to do."""
+    with pytest.raises(TrackingError, match=r"in use, perhaps by another Blender.*another port"):
         Receiver(receiver.address[1])
     with pytest.raises(TrackingError, match="cannot be opened"):
         Receiver(70_000)

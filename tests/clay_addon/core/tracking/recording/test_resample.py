@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A recording at other times than its own."""
+"""Resampling of recordings."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ STEP = 9 * MILLISECOND
 
 
 def moving(count: int, speed: float = 0.1, *, start: int = 0) -> list[Entry]:
-    """A right hand that moves along X [m/s], from a frame's number on."""
+    """A right hand that moves along X at a speed [m/s]; ``start`` is the first frame's number."""
     entries = []
     for number in range(start, start + count):
         time = number * STEP
@@ -23,7 +23,7 @@ def moving(count: int, speed: float = 0.1, *, start: int = 0) -> list[Entry]:
     return entries
 
 
-def test_even_motion_stays_even() -> None:
+def test_steady_motion_stays_steady() -> None:
     """Interpolate between frames, so that a steady hand moves steadily at any frame rate."""
     times = [round(number * 1e9 / 24) for number in range(40)]
     hands = resampled_hands(moving(400), times)["right"]
@@ -31,8 +31,8 @@ def test_even_motion_stays_even() -> None:
     assert steps == pytest.approx(0.1 / 24, rel=1e-3)
 
 
-def test_hands_are_those_of_live_tracking() -> None:
-    """Show at a frame's own time what live tracking showed then, contact and all."""
+def test_hands_are_as_in_live_tracking() -> None:
+    """Give the same hand and contact at a frame's time as live tracking."""
     entries = moving(100) + moving(50, start=200)
     tracker = HandTracker()
     times = [entry.time for entry in entries]
@@ -46,8 +46,8 @@ def test_hands_are_those_of_live_tracking() -> None:
     assert hands["left"] == [None] * len(times)
 
 
-def test_nothing_is_invented_in_a_gap() -> None:
-    """Hold and lose the hand in a gap, and leave it where it was seen."""
+def test_gap_is_not_interpolated() -> None:
+    """Hold and then lose the hand in a gap, at its last position."""
     entries = moving(100) + moving(50, start=200)
     end = entries[99].time
     times = [0, end + 150 * MILLISECOND, end + 500 * MILLISECOND]
@@ -56,12 +56,12 @@ def test_nothing_is_invented_in_a_gap() -> None:
     assert np.array_equal(held.positions, lost.positions)
 
 
-def test_a_jump_is_a_jump() -> None:
-    """Show no hand on its way between two places it jumped between."""
+def test_jump_is_not_interpolated() -> None:
+    """Show no positions between the two ends of a jump."""
     before = moving(50, speed=0.001)
     after = [
-        Entry(entry.time, frame_at(entry.time, number + 50, at=(0.5, 0.2, 0.001 * number)))
-        for number, entry in enumerate(moving(50, start=50))
+        Entry(entry.time, frame_at(entry.time, index + 50, at=(0.5, 0.2, 0.001 * index)))
+        for index, entry in enumerate(moving(50, start=50))
     ]
     times = list(range(0, 99 * STEP, MILLISECOND))
     hands = resampled_hands(before + after, times)["right"]

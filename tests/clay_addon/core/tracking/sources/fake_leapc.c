@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: GPL-3.0-or-later */
-/* Speaks LeapC's documented interface: a right and a left hand, then a broken one, then silence. */
+/* Implements LeapC's documented interface: two hands, then one of them corrupt, then timeouts. */
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
@@ -38,7 +38,7 @@ static int polls, opened;
 static hand hands[2];
 static tracking_event event;
 
-/* Joints of both hands in millimetres, laid here by the test: 26 each. */
+/* The 26 joints of each hand in millimeters, set by the test. */
 float joints[2][26][3];
 
 int64_t LeapGetNow(void) { return 9000000; }
@@ -66,7 +66,7 @@ static void fill(hand *h, int side) {
     h->palm.direction.v[2] = -1.0f;
     h->arm.next_joint = at(side, 1);
     for (int finger = 0; finger < 5; finger++) {
-        /* The thumb's metacarpal has no length. */
+        /* The thumb's metacarpal has zero length. */
         int first = finger ? 1 + 5 * finger : 2;
         for (int b = 0; b < 4; b++) {
             int from = finger ? first + b : first + (b ? b - 1 : 0);

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""MediaPipe's process: started, read, paced, and explained when it fails.
+"""MediaPipe's process: how it is started, read and paced, and how failures are explained.
 
-MediaPipe itself is not installed for the tests: a program in its place prints what it would.
+MediaPipe itself is not installed for the tests; a script prints lines in its place.
 """
 
 import json
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is
 
 @pytest.fixture
 def environment(tmp_path: Path) -> Path:
-    """An environment whose Python prints lines from a file beside it, whatever it is asked."""
+    """An environment whose Python ignores its arguments and prints the lines of a file."""
     folder = tmp_path / "environment"
     (folder / "bin").mkdir(parents=True)
     python = folder / "bin" / "python"
@@ -37,8 +37,8 @@ def environment(tmp_path: Path) -> Path:
     return folder
 
 
-def pictures(count: int, step: int) -> str:
-    """Lines of pictures, so far apart [ms]."""
+def image_lines(count: int, step: int) -> str:
+    """The worker's lines for images at intervals of ``step`` [ms]."""
     return "".join(
         json.dumps(
             {"time": n * step * MILLISECOND, "width": 640, "height": 480, "hands": [GOOD] * (n % 2)}
@@ -48,11 +48,11 @@ def pictures(count: int, step: int) -> str:
     )
 
 
-def test_video_plays_at_its_own_pace(environment: Path, tmp_path: Path, clock: Clock) -> None:
-    """Date each picture by the video's time, wait for it, and tell where no hand is seen."""
+def test_video_plays_at_its_own_speed(environment: Path, tmp_path: Path, clock: Clock) -> None:
+    """Give each image the video's time, wait until then, and report absent hands."""
     video = tmp_path / "hands.mp4"
     video.write_text("")
-    (environment / "lines").write_text(pictures(5, 40) + "garbage\n")
+    (environment / "lines").write_text(image_lines(5, 40) + "garbage\n")
     start = clock.now
     seen = list(
         mediapipe(
@@ -73,13 +73,13 @@ def test_video_plays_at_its_own_pace(environment: Path, tmp_path: Path, clock: C
     assert "hand_landmarker.task" in asked
 
 
-def test_video_slows_down_where_detection_does_not_keep_up(
+def test_video_slows_down_if_detection_does_not_keep_up(
     environment: Path, tmp_path: Path, clock: Clock
 ) -> None:
-    """Date each picture when it is ready, so that no hand looks old by the machine's fault."""
+    """Give each image the time when it is ready, so that hands do not look old."""
     video = tmp_path / "hands.mp4"
     video.write_text("")
-    (environment / "lines").write_text(pictures(5, 40))
+    (environment / "lines").write_text(image_lines(5, 40))
     times = []
     for item in mediapipe([str(video)], environment, MediapipeHands(), clock=clock):
         assert item.time == clock.now
@@ -88,19 +88,19 @@ def test_video_slows_down_where_detection_does_not_keep_up(
     assert times[-1] - times[0] == 4 * 70 * MILLISECOND
 
 
-def test_camera_is_dated_by_this_machines_clock(environment: Path) -> None:
-    """Take the worker's own time for a camera's pictures, and never wait."""
+def test_images_of_a_camera_keep_their_times(environment: Path) -> None:
+    """Use the worker's times for a camera's images, and never wait."""
 
     def sleep(seconds: float) -> None:
         raise AssertionError
 
-    (environment / "lines").write_text(pictures(3, 33))
+    (environment / "lines").write_text(image_lines(3, 33))
     seen = list(mediapipe(["0"], environment, MediapipeHands(), sleep=sleep))
     assert [item.time for item in seen] == [0, 33 * MILLISECOND, 66 * MILLISECOND]
 
 
 def test_failing_worker_is_explained(environment: Path) -> None:
-    """Repeat what it said, without MediaPipe's own notes."""
+    """Show its error message, without MediaPipe's log messages."""
     (environment / "said").write_text(
         "W0000 chatter\n[ WARN:0] noise\nThe camera 7 cannot be opened.\n"
     )
@@ -110,8 +110,8 @@ def test_failing_worker_is_explained(environment: Path) -> None:
 
 
 def test_missing_file_and_missing_setup_are_explained(environment: Path, tmp_path: Path) -> None:
-    """Say which file is not there, and how to set MediaPipe up."""
-    with pytest.raises(TrackingError, match=r"There is no file .*nowhere\.mp4"):
+    """Name the missing file, and say how to set up MediaPipe."""
+    with pytest.raises(TrackingError, match=r"The file .*nowhere\.mp4 does not exist"):
         next(mediapipe([str(tmp_path / "nowhere.mp4")], environment, MediapipeHands()))
     (environment / "installed.stamp").unlink()
     with pytest.raises(TrackingError, match="tactile-clay track mediapipe --setup"):
@@ -119,14 +119,14 @@ def test_missing_file_and_missing_setup_are_explained(environment: Path, tmp_pat
 
 
 def test_setup_leaves_other_folders_alone(environment: Path, tmp_path: Path) -> None:
-    """Do nothing where it is set up, and refuse a folder of another kind."""
-    told: list[str] = []
-    set_up(environment, tell=told.append)
-    assert told == [f"MediaPipe is set up in {environment}."]
+    """Do nothing if it is already set up, and refuse a folder with other content."""
+    messages: list[str] = []
+    set_up(environment, report=messages.append)
+    assert messages == [f"MediaPipe is already set up in {environment}."]
     letters = tmp_path / "letters"
     letters.mkdir()
     (letters / "to-grandmother.txt").write_text("dear grandmother")
-    with pytest.raises(TrackingError, match="name an empty folder"):
+    with pytest.raises(TrackingError, match="choose an empty folder"):
         set_up(letters)
     assert (letters / "to-grandmother.txt").read_text() == "dear grandmother"
 
@@ -134,13 +134,13 @@ def test_setup_leaves_other_folders_alone(environment: Path, tmp_path: Path) -> 
 def test_setup_that_fails_can_be_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say what pip said, and take no half-made environment for a whole one."""
+    """Show pip's message, and do not use an incomplete environment."""
     folder = tmp_path / "new"
     monkeypatch.setattr(mediapipe_setup, "RUNTIME", "/no/such/package")
     monkeypatch.setattr("venv.create", lambda path, **_: (path / "bin").mkdir(parents=True))
     monkeypatch.setattr(mediapipe_setup, "_pip", _failing)
     with pytest.raises(TrackingError, match="no such package"):
-        set_up(folder, tell=lambda _: None)
+        set_up(folder, report=lambda _: None)
     with pytest.raises(TrackingError, match="not set up"):
         environment_python(folder)
 

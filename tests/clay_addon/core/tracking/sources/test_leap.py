@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Leap service's websocket, against a server that speaks as the service does."""
+"""The Leap service's websocket, tested with a server that imitates the service."""
 
 import json
 import sys
@@ -19,7 +19,7 @@ from tactile_clay.tests.clay_addon.core.tracking.formats.test_leap import leap_h
 
 
 class Service:
-    """Speaks protocol 6: greets, is told wishes, then sends frames."""
+    """Implements protocol 6: sends a greeting, receives settings, then sends frames."""
 
     def __init__(self) -> None:
         self.version = 6
@@ -52,7 +52,7 @@ def service() -> Iterator[tuple[Service, str]]:
 
 
 def frames(count: int) -> list[str]:
-    """Frames of a hand on its way, a hundred a second, by the device's clock."""
+    """Frames of a moving hand, 100 frames/s on the device's clock."""
     return [
         json.dumps(
             message(leap_hand(at=(0.001 * number, 0.2, 0.0)), timestamp=77_000 + 10_000 * number)
@@ -61,8 +61,8 @@ def frames(count: int) -> list[str]:
     ]
 
 
-def test_hands_come_from_the_service(service: tuple[Service, str]) -> None:
-    """Ask for protocol 6 and for service in the background, and read what comes."""
+def test_hands_are_read_from_the_service(service: tuple[Service, str]) -> None:
+    """Request protocol 6 and frames in the background, and read the frames."""
     behavior, address = service
     behavior.frames = [*frames(3), "no json", "[1, 2]", json.dumps({"event": {}}), *frames(5)[3:]]
     stream = leap_service(address, sleep=lambda _: None)
@@ -77,27 +77,27 @@ def test_hands_come_from_the_service(service: tuple[Service, str]) -> None:
     assert all(list(item.absent) == ["left"] for item in seen)
 
 
-def test_service_may_go_and_come_back(service: tuple[Service, str]) -> None:
-    """Connect again when the service closed, and say once that it is waited for."""
+def test_lost_connection_is_restored(service: tuple[Service, str]) -> None:
+    """Reconnect after the service closed the connection, and report that it is waited for."""
     behavior, address = service
     behavior.frames = frames(2)
-    said: list[str] = []
-    stream = leap_service(address, sleep=lambda _: None, tell=said.append)
+    messages: list[str] = []
+    stream = leap_service(address, sleep=lambda _: None, report=messages.append)
     seen = [item for item in islice(stream, 8) if item.frames]
     stream.close()
     assert behavior.connections >= 2
     assert len(seen) >= 4
-    assert all("waiting for it" in text for text in said)
+    assert all("waiting for it" in text for text in messages)
 
 
 def test_absent_service_is_waited_for() -> None:
-    """Go on telling that no hand is there, and say why once."""
-    said: list[str] = []
-    stream = leap_service("ws://127.0.0.1:9/v6.json", sleep=lambda _: None, tell=said.append)
+    """Keep reporting absent hands, and give the reason once."""
+    messages: list[str] = []
+    stream = leap_service("ws://127.0.0.1:9/v6.json", sleep=lambda _: None, report=messages.append)
     seen = list(islice(stream, 3))
     stream.close()
     assert all(set(item.absent) == {"left", "right"} for item in seen)
-    assert len(said) == 1
+    assert len(messages) == 1
 
 
 def test_old_protocol_is_refused(service: tuple[Service, str]) -> None:

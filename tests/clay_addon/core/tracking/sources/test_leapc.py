@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""LeapC by ctypes, against a library in C with the documented structures."""
+"""LeapC through ctypes, tested with a C library that has the documented structures."""
 
 import ctypes
 import shutil
@@ -27,7 +27,7 @@ PLACES = {"left": (-0.1, 0.2, 0.0), "right": (0.1, 0.2, 0.0)}
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The library, compiled, with two hands laid in it."""
+    """The compiled library, with the joints of two hands."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("there is no C compiler")
@@ -41,22 +41,22 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_structures_have_the_documented_sizes() -> None:
-    """Lay the structures out without gaps: a gap would shift everything after it."""
+    """Lay out the structures without padding, which would shift all fields after it."""
     assert ctypes.sizeof(LeapHand) == 1084
     assert ctypes.sizeof(TrackingEvent) == 48
     assert TrackingEvent.hands.offset == 36
     assert ctypes.sizeof(Message) == 20
 
 
-def test_hands_come_from_the_library(library: Path) -> None:
-    """Read both hands, at the time they were seen, with wrist, metacarpals and widths."""
+def test_hands_are_read_from_the_library(library: Path) -> None:
+    """Read both hands at the time they were seen, with wrist, metacarpals and widths."""
     now = 50_000 * MILLISECOND
-    said: list[str] = []
-    stream = leapc(str(library), clock=lambda: now, tell=said.append)
-    first, both, spoilt, silent = islice(stream, 4)
+    messages: list[str] = []
+    stream = leapc(str(library), clock=lambda: now, report=messages.append)
+    first, both, corrupt, silent = islice(stream, 4)
     stream.close()
     assert set(first.absent) == set(silent.absent) == {"left", "right"}
-    assert said == ["Connected to the Ultraleap service.", "A tracking device is there."]
+    assert messages == ["Connected to the Ultraleap service.", "A tracking device is connected."]
     assert [frame.side for frame in both.frames] == ["right", "left"]
     for frame in both.frames:
         expected = flat_hand(frame.side, PLACES[frame.side])
@@ -65,11 +65,11 @@ def test_hands_come_from_the_library(library: Path) -> None:
         assert np.degrees(angles_between(frame.quaternions, expected[:, 3:7])).max() < 0.3
         assert frame.radii[8] == pytest.approx(0.009)
         encode(frame)
-    # A hand with a bone of no length is left out, the other is not.
-    assert [frame.side for frame in spoilt.frames] == ["left"]
+    # A hand with a bone of zero length is skipped, the other one is not.
+    assert [frame.side for frame in corrupt.frames] == ["left"]
 
 
-def test_library_that_is_missing_or_another_is_explained(tmp_path: Path) -> None:
+def test_missing_or_wrong_library_is_explained(tmp_path: Path) -> None:
     """Say what was tried and what to do."""
     with pytest.raises(TrackingError, match=r"Install Ultraleap.*--library"):
         load_library(str(tmp_path / "libLeapC.so"))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""MediaPipe's worker, with stand-ins for MediaPipe and OpenCV: what it asks of them and prints.
+"""MediaPipe's worker, with fakes of MediaPipe and OpenCV: how it calls them and what it prints.
 
-Against MediaPipe itself it was tried by hand; that is too large for the tests.
+MediaPipe itself is too large for the tests; with it the worker was tested by hand.
 """
 
 import json
@@ -81,7 +81,7 @@ class HandLandmarker:
 
 @pytest.fixture
 def modules(tmp_path: Path) -> Path:
-    """A folder with the stand-ins."""
+    """A folder with the fake modules."""
     package = tmp_path / "mediapipe" / "tasks" / "python"
     package.mkdir(parents=True)
     (tmp_path / "cv2.py").write_text(CV2)
@@ -105,8 +105,8 @@ def run(modules: Path, *inputs: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_pictures_give_a_line_each(modules: Path) -> None:
-    """Print time, size and hands of each picture, and close the detector."""
+def test_images_give_a_line_each(modules: Path) -> None:
+    """Print time, size and hands of each image, and close the detector."""
     result = run(modules, "a.png", "b.JPG")
     assert result.returncode == 0, result.stderr
     records = [json.loads(line) for line in result.stdout.splitlines()]
@@ -119,8 +119,8 @@ def test_pictures_give_a_line_each(modules: Path) -> None:
     assert "closed" in result.stderr
 
 
-def test_video_is_dated_by_its_own_time(modules: Path) -> None:
-    """Print a line a picture with the video's time, also where no hand is."""
+def test_video_gives_its_own_times(modules: Path) -> None:
+    """Print a line per image with the video's time, even without hands."""
     result = run(modules, "a.mp4")
     assert result.returncode == 0, result.stderr
     records = [json.loads(line) for line in result.stdout.splitlines()]
@@ -130,10 +130,10 @@ def test_video_is_dated_by_its_own_time(modules: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("bad.png", "bad.png is no picture"), ("7", "The camera 7 cannot be opened")],
+    [("bad.png", "bad.png is not a readable image"), ("7", "The camera 7 cannot be opened")],
 )
 def test_input_that_cannot_be_opened_is_named(modules: Path, name: str, words: str) -> None:
-    """End with 1 and say which."""
+    """Exit with 1 and name the input."""
     result = run(modules, name)
     assert result.returncode == 1
     assert words in result.stderr

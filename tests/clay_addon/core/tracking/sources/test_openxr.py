@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The OpenXR source, against a module with pyopenxr's names that plays a runtime."""
+"""The OpenXR source, tested with a fake of pyopenxr that imitates a runtime."""
 
 import ctypes
 import enum
@@ -67,7 +67,7 @@ class Locations(ctypes.Structure):
 
     @property
     def joint_locations(self) -> list[Location]:
-        return [self.places[number] for number in range(self.joint_count)]
+        return [self.places[joint] for joint in range(self.joint_count)]
 
 
 class LocateInfo(ctypes.Structure):
@@ -113,7 +113,7 @@ class Runtime:
         }
         self.error = error
 
-        def noted(name: str, result: Any) -> Any:
+        def logged(name: str, result: Any) -> Any:
             def call(*_: Any, **__: Any) -> Any:
                 self.calls.append(name)
                 return result
@@ -134,12 +134,12 @@ class Runtime:
             SessionCreateInfo=plain,
             SessionBeginInfo=plain,
             HandTrackerCreateInfoEXT=plain,
-            create_instance=noted("create_instance", 1),
-            destroy_instance=noted("destroy_instance", None),
-            get_system=noted("get_system", 2),
-            create_session=noted("create_session", 3),
-            begin_session=noted("begin_session", None),
-            end_session=noted("end_session", None),
+            create_instance=logged("create_instance", 1),
+            destroy_instance=logged("destroy_instance", None),
+            get_system=logged("get_system", 2),
+            create_session=logged("create_session", 3),
+            begin_session=logged("begin_session", None),
+            end_session=logged("end_session", None),
             create_hand_tracker_ext=lambda _, info: info.hand,
             create_reference_space=self.space,
             ReferenceSpaceCreateInfo=plain,
@@ -195,12 +195,12 @@ class Runtime:
 
 @pytest.fixture
 def runtime() -> Runtime:
-    """A runtime that has just been started."""
+    """A new runtime."""
     return Runtime()
 
 
-def test_hands_come_from_the_runtime(runtime: Runtime) -> None:
-    """Begin the session when it is ready, and read the hand that is there."""
+def test_hands_are_read_from_the_runtime(runtime: Runtime) -> None:
+    """Begin the session when it is ready, and read the visible hand."""
     stream = openxr(runtime.module, clock=lambda: 123, sleep=lambda _: None)
     waiting, seen = islice(stream, 2)
     stream.close()
@@ -214,8 +214,8 @@ def test_hands_come_from_the_runtime(runtime: Runtime) -> None:
     assert runtime.calls[-2:] == ["begin_session", "destroy_instance"]
 
 
-def test_guessed_and_invalid_joints_are_told(runtime: Runtime) -> None:
-    """Tell apart joints that are tracked, guessed and not there at all."""
+def test_inferred_and_invalid_joints_are_distinguished(runtime: Runtime) -> None:
+    """Distinguish joints that are tracked, inferred and invalid."""
     runtime.flags = 0b0011
     stream = openxr(runtime.module, sleep=lambda _: None)
     _, seen = islice(stream, 2)
@@ -227,23 +227,23 @@ def test_guessed_and_invalid_joints_are_told(runtime: Runtime) -> None:
 
 
 @pytest.mark.parametrize("state", [State.EXITING, State.LOSS_PENDING])
-def test_session_that_ends_is_told(runtime: Runtime, state: State) -> None:
-    """End with a message, and give the instance back."""
+def test_end_of_the_session_is_reported(runtime: Runtime, state: State) -> None:
+    """Raise a message, and destroy the instance."""
     runtime.states += [None, State.STOPPING, state]
     with pytest.raises(TrackingError, match="ended the session"):
         list(openxr(runtime.module, sleep=lambda _: None))
     assert runtime.calls[-2:] == ["end_session", "destroy_instance"]
 
 
-def test_what_the_runtime_lacks_is_named(runtime: Runtime) -> None:
-    """Name the extension that is missing."""
+def test_missing_extension_is_named(runtime: Runtime) -> None:
+    """Name the extension that the runtime lacks."""
     runtime.extensions.remove(b"XR_MND_headless")
     with pytest.raises(TrackingError, match="lacks XR_MND_headless"):
         next(openxr(runtime.module))
 
 
 def test_failing_runtime_is_explained(runtime: Runtime) -> None:
-    """Turn the runtime's errors into words, before and during the session."""
+    """Report the runtime's errors, before and during the session."""
     stream = openxr(runtime.module, sleep=lambda _: None)
     next(stream)
     runtime.result = -17

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What all senders share: numbering, pace, and telling what is not there."""
+"""Common parts of senders: sequence numbers, timing and absent hands."""
 
 import io
 from pathlib import Path
@@ -34,15 +34,14 @@ ENTRIES = [
 ]
 
 
-def test_sightings_arrive_numbered_with_what_is_absent(receiver: Receiver) -> None:
-    """Send both hands under one number, and say of a hand that is not there that it is not."""
+def test_sightings_are_numbered_and_include_absent_hands(receiver: Receiver) -> None:
+    """Send both hands with one sequence number, and an inactive frame for an absent hand."""
     sender = Sender(receiver.address[1])
     sender.send(sighting([frame_at(5)], 5))
     sender.send(sighting([frame_at(6), frame_at(6, side="left")]))
     frames = [arrival.frame for arrival in receiver.drain()]
     sender.close()
-    told = [(frame.side, frame.sequence, frame.active) for frame in frames]
-    assert told == [
+    assert [(frame.side, frame.sequence, frame.active) for frame in frames] == [
         ("right", 1, True),
         ("left", 1, False),
         ("right", 2, True),
@@ -50,8 +49,8 @@ def test_sightings_arrive_numbered_with_what_is_absent(receiver: Receiver) -> No
     ]
 
 
-def test_frame_that_no_receiver_would_take_is_not_sent(receiver: Receiver) -> None:
-    """Count a broken frame and send the others."""
+def test_invalid_frame_is_not_sent(receiver: Receiver) -> None:
+    """Count an invalid frame and send the others."""
     joints = flat_hand()
     joints[3] = float("nan")
     sender = Sender(receiver.address[1])
@@ -61,8 +60,8 @@ def test_frame_that_no_receiver_would_take_is_not_sent(receiver: Receiver) -> No
     assert [arrival.frame.side for arrival in receiver.drain()] == ["left"]
 
 
-def test_sending_to_nobody_is_no_error() -> None:
-    """Go on where no receiver listens, or none any more."""
+def test_sending_without_a_receiver_is_no_error() -> None:
+    """Keep sending if no receiver listens, or no longer."""
     with Receiver(0) as receiver:
         port = receiver.address[1]
     sender = Sender(port)
@@ -73,8 +72,8 @@ def test_sending_to_nobody_is_no_error() -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0, 0.5])
-def test_recording_plays_at_its_own_pace(clock: Clock, speed: float) -> None:
-    """Wait between frames as long as was waited then, and date them so."""
+def test_recording_plays_with_its_own_timing(clock: Clock, speed: float) -> None:
+    """Wait between frames as recorded, scaled by the speed, and set their times accordingly."""
     start = clock.now
     seen = list(
         replay(ENTRIES, speed=speed, clock=clock, sleep=lambda seconds: clock.turn(seconds * 1e3))
@@ -87,7 +86,7 @@ def test_recording_plays_at_its_own_pace(clock: Clock, speed: float) -> None:
 
 
 def test_slow_machine_catches_up(clock: Clock) -> None:
-    """Keep to the recording's times where sending takes longer than the gaps."""
+    """Keep the recording's times if sending takes longer than the gaps."""
     times = []
     for item in replay(ENTRIES, clock=clock, sleep=lambda seconds: clock.turn(seconds * 1e3)):
         times += [frame.source_time for frame in item.frames]
@@ -95,8 +94,8 @@ def test_slow_machine_catches_up(clock: Clock) -> None:
     assert times[-1] - times[0] == 30 * MILLISECOND
 
 
-def test_fastest_replay_waits_for_nothing_and_keeps_the_order(clock: Clock) -> None:
-    """Play as fast as it goes at speed 0, each frame later than the one before."""
+def test_fastest_replay_never_waits_and_keeps_the_order(clock: Clock) -> None:
+    """Play as fast as possible at speed 0, each frame with a later time than the last."""
 
     def sleep(seconds: float) -> None:
         raise AssertionError(f"waited {seconds} s")
@@ -109,8 +108,8 @@ def test_fastest_replay_waits_for_nothing_and_keeps_the_order(clock: Clock) -> N
     assert seen == sorted(set(seen))
 
 
-def test_looping_replay_begins_again(clock: Clock) -> None:
-    """Go on without an end, later and later."""
+def test_looping_replay_starts_again(clock: Clock) -> None:
+    """Play without end, with ascending times."""
     player = replay(
         ENTRIES, loop=True, clock=clock, sleep=lambda seconds: clock.turn(seconds * 1e3)
     )
@@ -119,8 +118,8 @@ def test_looping_replay_begins_again(clock: Clock) -> None:
     assert times == sorted(set(times))
 
 
-def test_run_tells_records_and_ends(clock: Clock, tmp_path: Path, receiver: Receiver) -> None:
-    """Tell once a second what is seen, keep what is sent, and stop when it is time."""
+def test_run_prints_records_and_ends(clock: Clock, tmp_path: Path, receiver: Receiver) -> None:
+    """Print frame rates once a second, record what is sent, and stop after the duration."""
 
     def tracker():
         number = 0
@@ -142,7 +141,7 @@ def test_run_tells_records_and_ends(clock: Clock, tmp_path: Path, receiver: Rece
 
 
 def test_error_of_a_tracker_ends_the_run(receiver: Receiver) -> None:
-    """Pass on what went wrong."""
+    """Pass on the tracker's error."""
 
     def tracker():
         yield sighting([])
@@ -154,8 +153,8 @@ def test_error_of_a_tracker_ends_the_run(receiver: Receiver) -> None:
     sender.close()
 
 
-def test_foreign_clock_is_mapped_by_the_least_delay(clock: Clock) -> None:
-    """Date frames by their own clock, whatever each was delayed by, and follow one set back."""
+def test_tracker_clock_is_converted_by_the_smallest_delay(clock: Clock) -> None:
+    """Convert times regardless of each frame's delay, and follow a clock that is set back."""
     mapped = ClockMap(clock)
     there = 5_000 * MILLISECOND
     offset = clock.now - there
@@ -164,7 +163,7 @@ def test_foreign_clock_is_mapped_by_the_least_delay(clock: Clock) -> None:
         there += 10 * MILLISECOND
         clock.now = there + offset + delay * MILLISECOND
         errors.append(mapped(there) - (there + offset))
-    # From the first frame with the least delay on, that is all that stays unknown.
+    # After the first frame with the smallest delay, the error is that delay.
     assert errors[2:] == pytest.approx([1e6] * 4, abs=2e4)
     clock.turn(2000)
     assert mapped(0) == clock.now
