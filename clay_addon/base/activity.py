@@ -63,6 +63,8 @@ class ClayActivity:
         """What holds it; None while nothing does."""
         self.progress: Progress | None = None
         """How far that is, where it goes frame by frame."""
+        self.pace = 1.0
+        """Simulated time over real time while clay is worked live; 1 otherwise."""
 
     def check_free(self) -> None:
         """Refuse while something holds the clay.
@@ -88,6 +90,7 @@ class ClayActivity:
         if self.kind is not None:
             _logger.info("%s ends", self.kind.name.capitalize())
         self.kind = self.progress = None
+        self.pace = 1.0
 
     @contextmanager
     def held(self, kind: ActivityKind) -> Iterator[None]:

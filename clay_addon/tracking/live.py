@@ -10,10 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
+import numpy as np
 from bpy.app.handlers import persistent
+from numpy.typing import NDArray
 
 from ..base.activity import ActivityKind, clay_activity
 from ..base.app_handlers import add_handlers, redraw_views, remove_handlers
+from ..core.session.hand_path import HandPath, Moment
 from ..core.tracking import TrackingError
 from ..core.tracking.hand.hand_tracker import HandTracker
 from ..core.tracking.hand.presence import State, TrackedHand
@@ -26,6 +29,8 @@ from ..core.tracking.sources.sender_process import SenderProcess
 from .armature import is_hand, placed, read_target, side_of, write_pose
 
 STEP_SECONDS = 1.0 / 60.0
+STEADY_PACE = 0.9
+"""A simulation this near to real time keeps up with hands, which are then shown at once."""
 
 _logger = logging.getLogger(__name__)
 
@@ -48,6 +53,8 @@ class LiveTracking:
         self._targets: dict[str, tuple[str, HandTarget]] = {}
         self._hands: dict[str, TrackedHand] = {}
         self._posed_states: dict[str, State] = {}
+        self._paths: dict[str, HandPath] = {}
+        """How hands move while the clay is simulated more slowly than they do."""
         self._recorder: Recorder | None = None
         self.problem = ""
         """The last error message, for the panel."""
@@ -127,9 +134,29 @@ class LiveTracking:
                 # Its pose does not change; posing it again would reevaluate the scene needlessly.
                 continue
             matrices = placed(target, hand, scene.tactile_clay_tracking.origin, scene)
-            write_pose(armature, matrices, hand.contact)
+            matrices, tracked = self._paced(side, matrices, hand.contact > 0.0, now)
+            write_pose(armature, matrices, hand.contact if tracked else 0.0)
             self._posed_states[side] = hand.state
         return True
+
+    def _paced(
+        self, side: str, matrices: dict[str, NDArray[np.float64]], tracked: bool, now: int
+    ) -> tuple[dict[str, NDArray[np.float64]], bool]:
+        """The pose at the pace of the simulation, which may be slower than the hand."""
+        pace = clay_activity.pace
+        path = self._paths.get(side)
+        if pace > STEADY_PACE and (path is None or not path.lag):
+            self._paths.pop(side, None)
+            return matrices, tracked
+        if path is None:
+            path = self._paths[side] = HandPath(tuple(matrices))
+        if path.names != tuple(matrices):
+            # Another armature follows the hand now.
+            path = self._paths[side] = HandPath(tuple(matrices))
+        bones, tracked = path.advance(
+            Moment(now * 1e-9, pace), np.stack(list(matrices.values())), tracked
+        )
+        return dict(zip(path.names, bones, strict=True)), tracked
 
     def stop(self) -> None:
         """Stop the sender, the receiver and the recording; a second call does nothing.

@@ -192,6 +192,8 @@ class SculptSession:
             self._edit(context, edits)
             return True
         duration = self.pace.next(self._clock())
+        # A tracked hand then moves at its own speed in simulated time.
+        clay_activity.pace = self.factor
         if duration:
             self._begin_step(context, duration)
         # The rest is done while the solver works.

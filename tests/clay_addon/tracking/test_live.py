@@ -88,6 +88,33 @@ def test_lost_hand_keeps_its_pose_and_touches_nothing(stage: Stage) -> None:
     assert stage.hands["left"][CONTACT_PROPERTY] == 0.0
 
 
+@pytest.mark.parametrize("pace", [0.1, 0.25, 0.5])
+def test_a_hand_does_not_leap_through_slow_clay(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, pace: float
+) -> None:
+    """In simulated time it moves no faster than it did, and comes to the same place."""
+    stage.start()
+    stage.show(300)
+    monkeypatch.setattr(clay_activity, "pace", pace)
+    stage.show(20)
+    hand = stage.hands["right"]
+    before = head_positions(hand)["wrist"]
+    fastest = 0.0
+    for number in range(40):
+        # One meter in a second.
+        stage.show(10, at=(0.1 + 0.01 * number, 0.3, -0.2))
+        now = head_positions(hand)["wrist"]
+        fastest = max(fastest, float(np.linalg.norm(now - before)) / 0.01)
+        before = now
+    # The tracker's filter may overshoot a little.
+    assert fastest < 1.4 * pace
+    stage.show(6000, at=(0.49, 0.3, -0.2))
+    assert np.allclose(head_positions(hand)["wrist"], Z_UP @ [0.49, 0.3, -0.2], atol=2e-3)
+    monkeypatch.setattr(clay_activity, "pace", 1.0)
+    stage.show(12_000, at=(0.49, 0.3, -0.2))
+    assert not stage.session._paths
+
+
 def test_pose_is_left_alone_during_a_bake(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     """Move no hand during a bake, and continue after it."""
     stage.start()
