@@ -178,7 +178,8 @@ def plan_route(
     start = int(wanted[wanted > _TOUCHED * wanted.max()].argmax())
     stops, known = spread_stops(touched, _REACH * sigma, first=start, kept=kept)
     corners = stops = stops[closed_tour(stops, known)]
-    if len(corners) < 3:
+    # Two separate fingertips are joined by a line there and back.
+    if len(corners) < 3 and np.linalg.norm(corners - corners[0], axis=1).max() < 2.0 * sigma:
         corners = _circle(touched, corners.mean(0), sigma)
     nodes = _resampled(corners, _NODE * sigma)
     nodes = _resampled(_laid_on(touched, nodes, 0.3 * sigma), _NODE * sigma)

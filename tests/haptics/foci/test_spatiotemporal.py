@@ -5,7 +5,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tactile_clay.haptics import Route, focus, plan_route, reconstruct
@@ -135,6 +135,19 @@ def test_a_small_contact_gets_a_small_round():
     assert route.repeat_rate == pytest.approx(200.0, rel=0.05)
 
 
+def test_two_separate_fingertips_are_both_rendered():
+    """Run between two contacts that are each smaller than a focus, and press on both alike."""
+    points = skin(0.12, 0.002)
+    tips = np.array(((-0.05, 0.0), (0.05, 0.0)))
+    away = np.linalg.norm(points[:, None, :2] - tips, axis=2)
+    pressures = np.where(away.min(1) < 0.004, 300.0, 0.0)
+    route = plan_route(points, pressures, np.ones(len(points)), sigma=SIGMA, focus_count=2)
+    average = route.time_average(points)
+    left, right = (average[away[:, tip] < 0.004].mean() for tip in (0, 1))
+    assert left == pytest.approx(right, rel=0.1)
+    assert left > 2.0 * average[np.abs(points[:, 0]) < 0.02].max()
+
+
 def test_a_route_goes_on_from_the_last():
     """Keep most stops while a load moves a little."""
     points = skin()
@@ -163,6 +176,7 @@ def test_nothing_touched_is_an_empty_route():
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.integers(1, 120), st.integers(1, 6))
+@example(286, 2, 1)
 def test_any_field_gives_a_sound_route(seed, size, foci):
     """Give finite places and pressures on any scattered field."""
     random = np.random.default_rng(seed)
