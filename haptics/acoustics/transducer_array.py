@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -14,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...solver.core.preset_files import check_keys, preset_names, preset_path, read_tables
+
 _PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "arrays"
 
 AMPLITUDE_LAWS = ("pulse_width", "linear")
 """How a driver board's steps are amplitudes."""
 
-Array = NDArray[np.float64]
+Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,9 +41,9 @@ class TransducerArray:
             message names it.
     """
 
-    positions: Array
+    positions: Real
     """Centers of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
-    normals: Array
+    normals: Real
     """Unit vectors along which each of them emits, shape [T, 3]; one vector stands for all."""
     p0: float
     """Peak pressure on a transducer's axis times the distance, at full drive [Pa·m]."""
@@ -52,7 +53,7 @@ class TransducerArray:
     """Frequency of the sound [Hz]."""
     speed_of_sound: float = 346.0
     """Speed of sound in air [m/s]; 346 at 25 °C."""
-    phase_offsets: Array = field(default_factory=lambda: np.zeros(1))
+    phase_offsets: Real = field(default_factory=lambda: np.zeros(1))
     """Phase that each transducer adds of itself [rad], shape [T]; one value stands for all."""
     phase_steps: int | None = None
     """Phases that the driver can tell apart in a period; any where not given."""
@@ -62,11 +63,11 @@ class TransducerArray:
     amplitude_law: str = "pulse_width"
     """What amplitude a step n of N is: sin(π n / 2N), as of a pulse of that part of half a period
     ("pulse_width"), or n / N, where the board makes up for that itself ("linear")."""
-    working_volume: Array = field(
+    working_volume: Real = field(
         default_factory=lambda: np.array(((-0.12, -0.12, 0.05), (0.12, 0.12, 0.45)))
     )
     """Corners of the box, in the array's own coordinates, where foci may lie [m], shape [2, 3]."""
-    pose: Array = field(default_factory=lambda: np.eye(4))
+    pose: Real = field(default_factory=lambda: np.eye(4))
     """World from the array's own coordinates (origin in the middle, Z out of it), shape [4, 4]."""
 
     def __post_init__(self) -> None:
@@ -134,12 +135,12 @@ class TransducerArray:
         return 2.0 * math.pi / self.wavelength
 
     @property
-    def position(self) -> Array:
+    def position(self) -> Real:
         """Middle of the array in world coordinates [m], shape [3]."""
         return self.pose[:3, 3].copy()
 
     @property
-    def normal(self) -> Array:
+    def normal(self) -> Real:
         """Direction out of the array in world coordinates, shape [3]."""
         return self.pose[:3, 2].copy()
 
@@ -221,7 +222,7 @@ class TransducerArray:
     @classmethod
     def preset_names(cls) -> list[str]:
         """Names that `preset` knows, sorted."""
-        return sorted(path.stem for path in _PRESET_FOLDER.glob("*.toml"))
+        return preset_names(_PRESET_FOLDER)
 
     @classmethod
     @cache
@@ -233,10 +234,7 @@ class TransducerArray:
         Raises:
             ValueError: No such preset, or its file is damaged; the message says which are there.
         """
-        if name not in cls.preset_names():
-            known = ", ".join(cls.preset_names())
-            raise ValueError(f"There is no array preset {name!r}. There are: {known}.")
-        return cls.from_toml(_PRESET_FOLDER / f"{name}.toml")
+        return cls.from_toml(preset_path(_PRESET_FOLDER, name, "array"))
 
     @classmethod
     def from_toml(cls, path: Path) -> TransducerArray:
@@ -249,34 +247,27 @@ class TransducerArray:
             ValueError: The file is not valid TOML, a key is unknown or a value does not fit.
             OSError: The file cannot be read.
         """
+        tables = read_tables(path, "array")
+        values, grid = tables["array"], tables.get("grid")
+        given_by_grid = {"positions", "normals"} if grid is not None else set()
+        known = {entry.name for entry in fields(cls)} - given_by_grid - {"pose"}
+        _check_table(path, values, known)
+        if grid is not None:
+            if not isinstance(grid, dict):
+                raise ValueError(f"{path.name}: grid is {grid!r}; it must be a table.")
+            _check_table(path, grid, {"columns", "rows", "pitch", "missing"})
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path.name} is not a valid TOML file: {error}.") from error
-        values, grid = tables.get("array"), tables.get("grid")
-        if not isinstance(values, dict):
-            raise ValueError(f"{path.name} has no [array] table.")
-        placed = {"positions", "normals", "pose"}
-        known = {entry.name for entry in fields(cls)} - (placed if grid else {"pose"})
-        _check_keys(path, values, known)
-        try:
-            if grid is None:
-                return cls(**values)
-            _check_keys(path, grid, {"columns", "rows", "pitch", "missing"})
-            return cls.grid(**grid, **values)
+            return cls(**values) if grid is None else cls.grid(**grid, **values)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path.name}: {error}") from error
 
 
-def _check_keys(path: Path, table: Mapping[str, object], known: set[str]) -> None:
+def _check_table(path: Path, table: Mapping[str, object], known: set[str]) -> None:
+    check_keys(path, table, known)
     for key, value in table.items():
-        if key not in known:
-            raise ValueError(
-                f"{path.name}: unknown key {key!r}. Known keys: {', '.join(sorted(known))}."
-            )
         if isinstance(value, bool) or (isinstance(value, str) and key != "amplitude_law"):
             raise ValueError(f"{path.name}: {key} is {value!r}; it must be a number.")
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Real) -> Real:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

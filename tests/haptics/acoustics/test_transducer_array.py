@@ -109,6 +109,7 @@ def test_bad_values_are_refused(change, message):
     [
         ("not toml", "valid TOML"),
         ("[grid]\ncolumns = 2\nrows = 2\npitch = 0.01", "no \\[array\\]"),
+        ("grid = 3\n[array]\np0 = 1.0\nradius = 0.0", "grid is 3; it must be a table"),
         ("[array]\np0 = 1.0\nsize = 3", "unknown key 'size'"),
         ("[array]\np0 = 'loud'", "must be a number"),
         ("[grid]\ncolumns = 2\nrows = 2\npitch = 0.01\n[array]\np0 = 1.0", "radius"),
