@@ -9,7 +9,7 @@ time are capped whatever is asked for. These caps are engineering choices, not a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,14 +119,10 @@ class Gate:
         if len(wanted) > self.maximum_foci:
             strongest = np.argsort(-pressures[wanted], kind="stable")[: self.maximum_foci]
             wanted = np.sort(wanted[strongest])
-        return Datagram(
-            datagram.kind,
-            datagram.session,
-            datagram.sequence,
-            datagram.time,
-            datagram.modulation,
-            positions[wanted],
-            np.minimum(pressures[wanted], np.float32(self.limits.pressure)),
+        return replace(
+            datagram,
+            positions=positions[wanted],
+            pressures=np.minimum(pressures[wanted], np.float32(self.limits.pressure)),
         )
 
 

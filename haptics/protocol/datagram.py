@@ -25,7 +25,7 @@ import enum
 import json
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -178,28 +178,24 @@ def decode(data: bytes) -> Datagram:
         raise DatagramError("an unknown modulation")
     kind = Kind(number)
     body = data[HEAD_SIZE : -_CHECK.size]
-    start = Datagram(kind, session, sequence, nanoseconds * 1e-9, Modulation(way))
+    head = Datagram(kind, session, sequence, nanoseconds * 1e-9, Modulation(way))
     if kind in (Kind.STATUS, Kind.DRIVE):
-        return _with_table(start, body, count)
+        return _with_table(head, body, count)
     if kind is not Kind.FOCI:
         if count or body:
             raise DatagramError("a body where there should be none")
-        return start
+        return head
     if count > MAX_FOCI or len(body) != count * _POINT_SIZE:
         raise DatagramError("the count does not fit the length")
     rows = np.frombuffer(body, "<f4").reshape(count, 4).astype(np.float32)
-    return Datagram(
-        kind,
-        session,
-        sequence,
-        start.time,
-        start.modulation,
-        np.ascontiguousarray(rows[:, :3]),
-        np.ascontiguousarray(rows[:, 3]),
+    return replace(
+        head,
+        positions=np.ascontiguousarray(rows[:, :3]),
+        pressures=np.ascontiguousarray(rows[:, 3]),
     )
 
 
-def _with_table(start: Datagram, body: bytes, count: int) -> Datagram:
+def _with_table(head: Datagram, body: bytes, count: int) -> Datagram:
     if len(body) != count:
         raise DatagramError("the count does not fit the length")
     try:
@@ -208,4 +204,4 @@ def _with_table(start: Datagram, body: bytes, count: int) -> Datagram:
         raise DatagramError("not JSON") from error
     if not isinstance(table, dict):
         raise DatagramError("not a JSON table")
-    return Datagram(start.kind, start.session, start.sequence, start.time, table=table)
+    return replace(head, table=table)
