@@ -23,6 +23,7 @@ from .array import placed_array
 from .properties import device_name
 
 if TYPE_CHECKING:
+    from ...haptics import TransducerArray
     from ...haptics.array_server import ArrayClient, ArrayStatus
     from ...haptics.foci.pipeline import TouchFrame, TouchPipeline
 
@@ -156,32 +157,41 @@ class TouchConnection:
             ceiling=properties.ceiling,
             count=properties.focus_count,
         )
-        if send:
-            self.feel(scene, frame, taken=begin)
-        else:
-            self.show(frame)
+        if send and self.client is not None:
+            self._send(self.client, scene, frame, array, taken=begin)
+        self.show(frame)
         return frame
 
-    def feel(
-        self, scene: bpy.types.Scene, frame: TouchFrame, *, taken: float | None = None
-    ) -> None:
-        """Send a frame to the array, if one is connected, and show it.
+    def feel(self, scene: bpy.types.Scene, frame: TouchFrame) -> None:
+        """Send a recorded frame to the array if one is connected, and show it.
 
         Args:
-            scene: Its array and modulation count.
-            frame: What shall be felt.
-            taken: When its contacts were taken, by `time.monotonic` [s]; now if not given.
+            scene: Holds the array object and the modulation setting.
+            frame: What to send.
+
+        Raises:
+            TouchArrayError: The scene's array object is scaled or sheared.
         """
         if self.client is not None:
-            from ...haptics.array_server import Modulation
-
-            array = placed_array(scene)
-            if array is not None:
-                self.client.set_pose(array.pose)
-            modulation = Modulation[scene.tactile_touch.modulation]
-            self.client.send(frame, modulation=modulation, time=taken)
-            self.read_status()
+            self._send(self.client, scene, frame, placed_array(scene))
         self.show(frame)
+
+    def _send(
+        self,
+        client: ArrayClient,
+        scene: bpy.types.Scene,
+        frame: TouchFrame,
+        array: TransducerArray | None,
+        *,
+        taken: float | None = None,
+    ) -> None:
+        from ...haptics.array_server import Modulation
+
+        if array is not None:
+            client.set_pose(array.pose)
+        modulation = Modulation[scene.tactile_touch.modulation]
+        client.send(frame.foci, modulation=modulation, time=taken)
+        self.read_status()
 
     def show(self, frame: TouchFrame | None) -> None:
         """Show a frame in the overlay without sending it."""

@@ -66,10 +66,10 @@ def field_picture(scene: bpy.types.Scene) -> bpy.types.Object:
     array, frame = placed_array(scene), touch.shown
     if array is None:
         raise TouchError("There is no array in this scene: Add > Ultrasound Array.")
-    if frame is None or len(frame.positions) == 0:
+    if frame is None or frame.foci.count == 0:
         raise TouchError("Nothing is felt at this frame, so there is no sound to paint.")
-    drive = solve_drive(array, frame.positions, frame.pressures)
-    points, pressures = frame.positions, frame.pressures
+    points, pressures = frame.foci.positions, frame.foci.pressures
+    drive = solve_drive(array, points, pressures)
     if frame.skin is not None and frame.wanted is not None and len(frame.skin):
         points, pressures = frame.skin, frame.wanted
     middle, axes = palm_plane(points, pressures, array.normal)

@@ -14,6 +14,7 @@ from ..base.units import meters_per_unit
 from .connection import touch
 
 if TYPE_CHECKING:
+    from ...haptics import Foci
     from ...haptics.foci.pipeline import TouchFrame
 
 _SEGMENTS = 32
@@ -24,12 +25,12 @@ _FAINT = 0.03
 
 
 def focus_rings(
-    frame: TouchFrame, normal: NDArray[np.float64]
+    foci: Foci, normal: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """A ring of the size of each focal point, across the sound's direction.
 
     Args:
-        frame: The focal points.
+        foci: The focal points.
         normal: Where the sound goes, shape [3].
 
     Returns:
@@ -41,15 +42,14 @@ def focus_rings(
     right /= np.linalg.norm(right)
     up = np.cross(normal, right)
     turn = 2.0 * np.pi * np.arange(_SEGMENTS + 1) / _SEGMENTS
-    rim = frame.sigma * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
-    points = frame.positions[:, None] + rim
+    rim = foci.sigma * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
+    points = foci.positions[:, None] + rim
     lines = np.stack((points[:, :-1], points[:, 1:]), axis=2)
-    middles = np.broadcast_to(frame.positions[:, None], points[:, 1:].shape)
+    middles = np.broadcast_to(foci.positions[:, None], points[:, 1:].shape)
     triangles = np.stack((middles, points[:, :-1], points[:, 1:]), axis=2)
-    count = len(frame.positions)
     return (
-        lines.reshape(count, -1, 3).astype(np.float32),
-        triangles.reshape(count, -1, 3).astype(np.float32),
+        lines.reshape(foci.count, -1, 3).astype(np.float32),
+        triangles.reshape(foci.count, -1, 3).astype(np.float32),
     )
 
 
@@ -81,10 +81,10 @@ def draw_frame(
             points = (frame.skin[seen] / scale).astype(np.float32)
             gpu.state.point_size_set(_SKIN_SIZE)
             batch_for_shader(shader, "POINTS", {"pos": points, "color": colors}).draw(shader)
-    if len(frame.positions):
+    if frame.foci.count:
         shader = gpu.shader.from_builtin("FLAT_COLOR")
-        lines, triangles = focus_rings(frame, normal)
-        colors = pressure_colors(frame.pressures, ceiling)
+        lines, triangles = focus_rings(frame.foci, normal)
+        colors = pressure_colors(frame.foci.pressures, ceiling)
         # Over the hand, which they lie in.
         gpu.state.depth_test_set("NONE")
         gpu.state.line_width_set(2.0)

@@ -38,9 +38,10 @@ def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, sc
     Raises:
         CacheError: The folder cannot be written to.
     """
-    positions = np.asarray(frame.positions, np.float32) / np.float32(scale)
-    pressures = np.asarray(frame.pressures, np.float32)
-    write_foci(cache.directory, FociFrame(number, positions, pressures, frame.sigma), meta)
+    foci = frame.foci
+    positions = np.asarray(foci.positions, np.float32) / np.float32(scale)
+    pressures = np.asarray(foci.pressures, np.float32)
+    write_foci(cache.directory, FociFrame(number, positions, pressures, foci.sigma), meta)
 
 
 def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
@@ -54,12 +55,15 @@ def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
     Raises:
         CacheError: Nothing was recorded there, or it is damaged.
     """
+    from ...haptics import Foci
     from ...haptics.foci.pipeline import TouchFrame
 
-    kept = read_foci(cache.directory, number, cache.meta())
-    return TouchFrame(
-        kept.positions.astype(np.float64) * scale, kept.pressures.astype(np.float64), kept.sigma
-    )
+    recorded = read_foci(cache.directory, number, cache.meta())
+    positions = recorded.positions.astype(np.float64) * scale
+    pressures = recorded.pressures.astype(np.float64)
+    # The field that the foci were fitted to is not recorded.
+    assignment = np.zeros(0, np.intp)
+    return TouchFrame(Foci(positions, pressures, assignment, recorded.sigma))
 
 
 class TouchReplay:

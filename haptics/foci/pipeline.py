@@ -12,25 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..acoustics.transducer_array import TransducerArray
 from ..skin.pressure_field import PressureField
-from .focal_points import focus, reconstruct
+from .focal_points import Foci, focus, reconstruct
 
 
 @dataclass(frozen=True, eq=False)
 class TouchFrame:
     """What one frame should feel like, in world coordinates."""
 
-    positions: NDArray[np.float64]
-    """Focal points [m], shape [K, 3]."""
-    pressures: NDArray[np.float64]
-    """Pressure amplitude at each [Pa], shape [K]."""
-    sigma: float = 0.0
-    """Size of a focal point: the standard deviation of its Gaussian [m]."""
+    foci: Foci
+    """The focal points."""
     skin: NDArray[np.float64] | None = None
-    """Points of the skin that face the array [m], shape [F, 3]; None where it is not known."""
+    """Skin points that face the array [m], shape [F, 3]; None for a frame read from a bake."""
     wanted: NDArray[np.float64] | None = None
-    """Pressure wanted at each [Pa], shape [F]."""
+    """Target pressure at each skin point [Pa], shape [F]."""
     reconstructed: NDArray[np.float64] | None = None
-    """Pressure that the focal points give at each [Pa], shape [F]."""
+    """Pressure that the focal points give at each skin point [Pa], shape [F]."""
 
 
 class TouchPipeline:
@@ -39,12 +35,12 @@ class TouchPipeline:
     Example:
         >>> pipeline = TouchPipeline()
         >>> frame = pipeline.step([solver.contacts(hand)], array, dt=1 / 60)
-        >>> client.send(frame)
+        >>> client.send(frame.foci)
     """
 
     def __init__(self) -> None:
-        self._fields: list[Any] = []
-        self._foci: Any = None
+        self._fields: list[PressureField] = []
+        self._foci: Foci | None = None
 
     def step(
         self,
@@ -101,9 +97,7 @@ class TouchPipeline:
             ceiling=ceiling,
         )
         return TouchFrame(
-            self._foci.positions,
-            self._foci.pressures,
-            self._foci.sigma,
+            self._foci,
             field.positions,
             field.pressures,
             reconstruct(self._foci, field.positions),

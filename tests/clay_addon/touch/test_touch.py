@@ -18,6 +18,7 @@ import tactile_clay.haptics
 from tactile_clay.clay_addon.bake.bake import bake
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheDamagedError, CacheMissingError
 from tactile_clay.clay_addon.core.storage.foci import FociFrame, read_foci, write_foci
+from tactile_clay.clay_addon.touch import connection as touch_connection
 from tactile_clay.clay_addon.touch import overlay as touch_overlay
 from tactile_clay.clay_addon.touch import panel as touch_panel
 from tactile_clay.clay_addon.touch import record as touch_record
@@ -25,12 +26,17 @@ from tactile_clay.clay_addon.touch.array import TouchArrayError, placed_array
 from tactile_clay.clay_addon.touch.connection import touch
 from tactile_clay.clay_addon.touch.operators import field_picture
 from tactile_clay.clay_addon.touch.properties import device_name
-from tactile_clay.haptics import TransducerArray, acoustic_field
+from tactile_clay.haptics import Foci, TransducerArray, acoustic_field
 from tactile_clay.haptics.foci.pipeline import TouchFrame
 from tactile_clay.tests.clay_addon.test_panel import Layout
 
 PATIENCE = 20.0
 PIXELS = 128
+
+
+def foci_at(points: np.ndarray, pressures: Any, sigma: float = 0.00865) -> Foci:
+    """Focal points without a field."""
+    return Foci(points, np.array(pressures), np.zeros(0, np.intp), sigma)
 
 
 def frame_at(height: float, pressure: float = 800.0) -> TouchFrame:
@@ -41,7 +47,7 @@ def frame_at(height: float, pressure: float = 800.0) -> TouchFrame:
     points = np.array(((-0.02, 0.0, height), (0.02, 0.01, height)))
     away = np.square(skin[:, None] - points).sum(2).min(1)
     felt = pressure * np.exp(-0.5 * away / 0.00865**2)
-    return TouchFrame(points, np.array((pressure, 0.6 * pressure)), 0.00865, skin, felt, felt)
+    return TouchFrame(foci_at(points, (pressure, 0.6 * pressure)), skin, felt, felt)
 
 
 def add_array(preset: str = "sonicsurface") -> Any:
@@ -115,7 +121,8 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     assert touch.client is not None
     near = frame_at(0.25)
     away = np.array((0.3, -0.2, 0.0))
-    near = TouchFrame(near.positions + away, near.pressures, near.sigma)
+    foci = foci_at(near.foci.positions + away, near.foci.pressures)
+    near = TouchFrame(foci)
 
     drives = []
 
@@ -128,8 +135,8 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     drive = drives[-1]
     array = placed_array(studio.scene)
     assert array is not None
-    heard = np.abs(acoustic_field(array, drive, near.positions))
-    assert heard / near.pressures == pytest.approx(1.0, abs=0.05)
+    heard = np.abs(acoustic_field(array, drive, foci.positions))
+    assert heard / foci.pressures == pytest.approx(1.0, abs=0.05)
     assert "2 focal points" in touch_panel.status_lines()[0][0]
     process = touch.client.process
     assert process is not None
@@ -250,10 +257,10 @@ def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> Non
     touch_record.record_touch(cache, 2, frame, cache.meta(), scale=0.5)
     assert cache.foci_frames() == [2]
     assert cache.size() > before
-    kept = touch_record.recorded_touch(cache, 2, scale=0.5)
-    assert kept.positions == pytest.approx(frame.positions, abs=1e-7)
-    assert kept.pressures == pytest.approx(frame.pressures)
-    assert kept.sigma == pytest.approx(frame.sigma)
+    kept = touch_record.recorded_touch(cache, 2, scale=0.5).foci
+    assert kept.positions == pytest.approx(frame.foci.positions, abs=1e-7)
+    assert kept.pressures == pytest.approx(frame.foci.pressures)
+    assert kept.sigma == pytest.approx(frame.foci.sigma)
     with pytest.raises(CacheMissingError):
         read_foci(cache.directory, 1, cache.meta())
     path = cache.directory / "foci_000002.npz"
@@ -285,10 +292,10 @@ def test_a_recorded_session_is_felt_again(studio: Any, tmp_path: Path) -> None:
     assert touch.status
     assert touch.status.foci == 2
     assert touch.shown is not None
-    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    assert touch.shown.foci.positions[0, 2] == pytest.approx(0.2)
     touch_record.replay.paused = True
     studio.scene.frame_set(2)
-    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    assert touch.shown.foci.positions[0, 2] == pytest.approx(0.2)
     touch_record.replay.paused = False
     studio.scene.frame_set(3)
     assert touch.shown is None
@@ -309,7 +316,7 @@ def test_a_picture_of_the_field_lies_in_the_plane_of_the_palm(studio: Any) -> No
     row, column = np.unravel_index(np.argmax(bright), bright.shape)
     local = (np.array((column, row)) + 0.5) / PIXELS - 0.5
     place = item.matrix_world @ Vector((*(0.16 * local), 0.0))
-    assert tuple(place) == pytest.approx(frame.positions[0], abs=0.004)
+    assert tuple(place) == pytest.approx(frame.foci.positions[0], abs=0.004)
     assert 700.0 < item.data["largest_pressure"] < 1100.0
     assert bpy.ops.clay.touch_picture() == {"FINISHED"}
 
@@ -333,15 +340,31 @@ def test_contacts_become_focal_points(studio: Any) -> None:
     for number in range(5):
         frame = touch.touch_frame(studio.scene, [palm_contacts(number)], dt=1 / 60)
     assert frame is not None
-    assert 1 <= len(frame.positions) <= 4
-    assert frame.pressures.max() <= 600.0
-    assert np.hypot(*frame.positions[:, :2].T).max() < 0.06
+    assert 1 <= frame.foci.count <= 4
+    assert frame.foci.pressures.max() <= 600.0
+    assert np.hypot(*frame.foci.positions[:, :2].T).max() < 0.06
     assert frame.reconstructed is not None
     assert touch.shown is frame
     kept = touch.touch_frame(studio.scene, [palm_contacts(5)], dt=1 / 60, send=False)
     assert touch.shown is kept
     touch.rest()
     assert touch.shown is None
+
+
+def test_a_live_frame_places_its_array_once(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute the array's pose once for each frame that is sent."""
+    add_array("openmpd")
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    placed = []
+
+    def count(scene: Any) -> Any:
+        placed.append(placed_array(scene))
+        return placed[-1]
+
+    monkeypatch.setattr(touch_connection, "placed_array", count)
+    assert touch.touch_frame(studio.scene, []) is not None
+    assert len(placed) == 1
+    touch.disconnect()
 
 
 def test_the_overlay_is_left_out_in_the_background() -> None:
@@ -354,10 +377,10 @@ def test_the_overlay_is_left_out_in_the_background() -> None:
 
 def test_rings_are_as_large_as_focal_points() -> None:
     """Draw a ring of one sigma about each focal point, across the sound."""
-    frame = frame_at(0.2)
-    lines, triangles = touch_overlay.focus_rings(frame, np.array((0.0, 0.0, 1.0)))
-    for ring, place in zip(lines, frame.positions, strict=True):
-        assert np.linalg.norm(ring - place, axis=1) == pytest.approx(frame.sigma, rel=1e-4)
+    foci = frame_at(0.2).foci
+    lines, triangles = touch_overlay.focus_rings(foci, np.array((0.0, 0.0, 1.0)))
+    for ring, place in zip(lines, foci.positions, strict=True):
+        assert np.linalg.norm(ring - place, axis=1) == pytest.approx(foci.sigma, rel=1e-4)
         assert ring[:, 2] == pytest.approx(place[2])
     assert triangles.shape == (2, 96, 3)
 
@@ -375,12 +398,14 @@ except (AttributeError, RuntimeError, SystemError) as error:
     os._exit(0)
 from mathutils import Matrix
 from tactile_clay.clay_addon.touch import overlay as touch_overlay
+from tactile_clay.haptics import Foci
 from tactile_clay.haptics.foci.pipeline import TouchFrame
 side = np.linspace(-0.4, 0.4, 40)
 skin = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
 skin = np.column_stack((skin, np.full(len(skin), 0.3)))
 felt = np.where(skin[:, 0] < 0.0, 1000.0, 0.0)
-frame = TouchFrame(np.array(((0.5, 0.5, 0.0),)), np.array((500.0,)), 0.2, skin, felt, felt)
+foci = Foci(np.array(((0.5, 0.5, 0.0),)), np.array((500.0,)), np.zeros(0, int), 0.2)
+frame = TouchFrame(foci, skin, felt, felt)
 with screen.bind():
     buffer = gpu.state.active_framebuffer_get()
     buffer.clear(color=(0, 0, 0, 1), depth=1.0)
