@@ -21,7 +21,7 @@ public:
     // Most points at a time.
     virtual std::size_t limit() = 0;
     // Emits these points from now on. Throws ArrayError.
-    virtual void emit(const FocalPoints &points) = 0;
+    virtual void emit(const FociMessage &points) = 0;
     // Ends all sound. Throws ArrayError.
     virtual void stop() = 0;
     virtual bool connected() = 0;

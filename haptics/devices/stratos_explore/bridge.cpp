@@ -68,7 +68,7 @@ socket_t listen_on_loopback(unsigned short &port) {
 
 void serve(tactile_clay::Array &array, socket_t handle, std::uint32_t session) {
     static unsigned char data[65536];
-    std::optional<tactile_clay::FocalPoints> newest;
+    std::optional<tactile_clay::FociMessage> newest;
     std::uint64_t sequence = 0;
     bool waiting = false, emitting = false;
     Clock::time_point heard = Clock::now(), updated = heard - shortest_interval;

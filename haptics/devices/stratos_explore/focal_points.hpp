@@ -19,7 +19,7 @@ struct FocalPoint {
     float intensity;   // 0 to 1
 };
 
-struct FocalPoints {
+struct FociMessage {
     std::uint32_t session = 0;
     std::uint64_t sequence = 0;
     bool modulated = true;
@@ -53,7 +53,7 @@ Number read_number(const unsigned char *data) {
 }
 
 // Nothing if the datagram is not exactly one of ours with numbers that can be emitted.
-inline std::optional<FocalPoints> read_focal_points(const unsigned char *data, std::size_t size,
+inline std::optional<FociMessage> read_focal_points(const unsigned char *data, std::size_t size,
                                                     std::size_t most) {
     constexpr std::size_t head = 32, point = 16, check = 4;
     if (size < head + check || std::memcmp(data, "TCFP", 4) != 0) return std::nullopt;
@@ -62,7 +62,7 @@ inline std::optional<FocalPoints> read_focal_points(const unsigned char *data, s
     if (count > most || size != head + count * point + check) return std::nullopt;
     if (read_number<std::uint32_t>(data + size - check) != checksum(data, size - check))
         return std::nullopt;
-    FocalPoints read;
+    FociMessage read;
     read.session = read_number<std::uint32_t>(data + 8);
     read.sequence = read_number<std::uint64_t>(data + 16);
     read.modulated = data[6] == 0;

@@ -17,7 +17,7 @@ public:
 
     std::size_t limit() override { return emitter_.getMaximumControlPointLimit(); }
 
-    void emit(const FocalPoints &points) override {
+    void emit(const FociMessage &points) override {
         if (points.points.empty()) return stop();
         std::vector<Ultrahaptics::AmplitudeModulation::ControlPoint> control;
         for (const FocalPoint &one : points.points)

@@ -46,7 +46,7 @@ public:
 
     std::size_t limit() override { return most_points; }
 
-    void emit(const FocalPoints &points) override {
+    void emit(const FociMessage &points) override {
         if (points.points.empty()) return stop();
         {
             const std::lock_guard<std::mutex> lock(mutex_);
@@ -96,7 +96,7 @@ private:
     StreamingEmitter emitter_;
     LocalTimePoint start_;
     std::mutex mutex_;
-    FocalPoints points_;
+    FociMessage points_;
     bool emitting_ = false;
 };
 

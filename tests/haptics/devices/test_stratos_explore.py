@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tactile_clay.haptics import ArrayClient
 from tactile_clay.haptics.devices import DeviceError, make_device
 from tactile_clay.haptics.protocol.datagram import Kind, encode
-from tactile_clay.tests.haptics.peers.harness import PATIENCE, Foci, foci, keep_sending
+from tactile_clay.tests.haptics.peers.harness import PATIENCE, PlainFoci, foci, keep_sending
 
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
 SOURCES = Path(__file__).resolve().parents[3] / "haptics" / "devices" / "stratos_explore"
@@ -167,7 +167,7 @@ def read_by(reader: Path, datagrams: list[bytes]) -> list[str]:
     ).stdout.splitlines()
 
 
-def datagram(points: Foci) -> bytes:
+def datagram(points: PlainFoci) -> bytes:
     """A datagram with these points."""
     return encode(
         Kind.FOCI,

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from tactile_clay.haptics import ArrayClient, TransducerArray
 from tactile_clay.haptics.devices import DeviceError, make_device
-from tactile_clay.tests.haptics.peers.harness import Foci, foci, keep_sending, peer, pressures_at
+from tactile_clay.tests.haptics.peers.harness import (
+    PlainFoci,
+    foci,
+    keep_sending,
+    peer,
+    pressures_at,
+)
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 
@@ -83,7 +89,7 @@ def mega_drive(wave: str) -> NDArray[np.complex128]:
     return (turns @ bits / reference)[PINS]
 
 
-def check(array: TransducerArray, drive: NDArray[np.complex128], points: Foci) -> None:
+def check(array: TransducerArray, drive: NDArray[np.complex128], points: PlainFoci) -> None:
     """Hold |p| / target to what so few phases allow."""
     ratio = pressures_at(array, drive, points.positions) / points.pressures
     assert ratio == pytest.approx(1.0, abs=0.15)
@@ -95,7 +101,7 @@ def check(array: TransducerArray, drive: NDArray[np.complex128], points: Foci) -
     [("fpga", 32, "sonicsurface", FAR), ("fpga128", 128, "ultraino", NEAR)],
 )
 def test_an_fpga_holds_the_pressures_that_were_asked_for(
-    board: str, divisions: int, preset: str, points: Foci
+    board: str, divisions: int, preset: str, points: PlainFoci
 ) -> None:
     """Reach |p| / target of 1 at two foci, whatever pulse widths were set before, then silence."""
     with peer("ultraino_peer", board, "1") as emulator:

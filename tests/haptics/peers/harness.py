@@ -25,7 +25,7 @@ OFF_WITHIN = 0.250
 
 
 @dataclass(frozen=True)
-class Foci:
+class PlainFoci:
     """Focal points as a test wants them."""
 
     positions: NDArray[np.float64]
@@ -34,10 +34,10 @@ class Foci:
     """Pressures [Pa], shape [K]."""
 
 
-def foci(*rows: tuple[float, float, float, float]) -> Foci:
+def foci(*rows: tuple[float, float, float, float]) -> PlainFoci:
     """Focal points from rows of x, y, z [m] and pressure [Pa]."""
     table = np.array(rows, np.float64).reshape(-1, 4)
-    return Foci(table[:, :3], table[:, 3])
+    return PlainFoci(table[:, :3], table[:, 3])
 
 
 TWO_FOCI = foci((0.0, 0.0, 0.15, 900.0), (0.03, 0.02, 0.14, 500.0))
@@ -108,7 +108,12 @@ def peer(module: str, *words: str) -> Iterator[Peer]:
 
 
 def keep_sending(
-    out: ArrayClient, points: Foci, until: Callable[[], bool], what: str, *, pace: float = 1 / 60
+    out: ArrayClient,
+    points: PlainFoci,
+    until: Callable[[], bool],
+    what: str,
+    *,
+    pace: float = 1 / 60,
 ) -> None:
     """Send the same focal points at a live scene's pace until something holds."""
     end = time.monotonic() + PATIENCE
