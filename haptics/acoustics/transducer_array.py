@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where an array's transducers are, how they sound, and how finely they can be driven."""
+"""Geometry and acoustics of a transducer array, and how finely it can be driven."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...solver.core.preset_files import check_keys, preset_names, preset_path, r
 _PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "arrays"
 
 AMPLITUDE_LAWS = ("pulse_width", "linear")
-"""How a driver board's steps are amplitudes."""
+"""How the amplitude steps of a driver board map to amplitudes."""
 
 Real = NDArray[np.float64]
 
@@ -27,53 +27,54 @@ Real = NDArray[np.float64]
 class TransducerArray:
     """An ultrasound phased array of T circular pistons that all vibrate at one frequency.
 
-    A drive is one complex number a transducer: its magnitude, 0 to 1, is the amplitude over the
-    largest, its argument the phase by which the transducer lags, e^{-iωt} being understood. All
-    pressures are peak values, not root mean square.
+    A drive is one complex number per transducer: its magnitude, 0 to 1, is the amplitude relative
+    to full drive, its argument the phase lag (time convention e^{-iωt}). All pressures are peak
+    values, not root mean square.
 
     Example:
         >>> array = TransducerArray.preset("sonicsurface")
-        >>> array = array.placed(matrix_world)              # where the array stands
+        >>> array = array.placed(matrix_world)              # where the array is in the world
         >>> drive = solve_drive(array, foci.positions, foci.pressures)
 
     Raises:
-        ValueError: A value is not finite, lies outside its range or does not fit the others; the
-            message names it.
+        ValueError: A value is not finite, out of range or inconsistent with the others; the message
+            names it.
     """
 
     positions: Real
-    """Centers of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
+    """Centers of the transducers [m], shape [T, 3], in the order of a drive."""
     normals: Real
-    """Unit vectors along which each of them emits, shape [T, 3]; one vector stands for all."""
+    """Unit vector of emission of each, shape [T, 3]; a single vector applies to all."""
     p0: float
-    """Peak pressure on a transducer's axis times the distance, at full drive [Pa·m]."""
+    """Peak pressure on the axis of a transducer times the distance, at full drive [Pa·m]."""
     radius: float
-    """Radius of the vibrating piston [m]; 0 for a source that emits alike in all directions."""
+    """Radius of the vibrating piston [m]; 0 for a source that emits equally in all directions."""
     frequency: float = 40e3
     """Frequency of the sound [Hz]."""
     speed_of_sound: float = 346.0
     """Speed of sound in air [m/s]; 346 at 25 °C."""
     phase_offsets: Real = field(default_factory=lambda: np.zeros(1))
-    """Phase that each transducer adds of itself [rad], shape [T]; one value stands for all."""
+    """Phase that each transducer adds by itself [rad], shape [T]; a single value applies to all."""
     phase_steps: int | None = None
-    """Phases that the driver can tell apart in a period; any where not given."""
+    """Number of phases per period that the driver supports; None for continuous phases."""
     amplitude_steps: int | None = None
-    """Amplitudes N besides off that it can tell apart: with 1, a transducer is off or on; any
-    amplitude where not given."""
+    """Number N of amplitudes besides off that the driver supports; 1 for transducers that are only
+    on or off, None for continuous amplitudes."""
     amplitude_law: str = "pulse_width"
-    """What amplitude a step n of N is: sin(π n / 2N), as of a pulse of that part of half a period
-    ("pulse_width"), or n / N, where the board makes up for that itself ("linear")."""
+    """Amplitude of step n of N: "pulse_width" gives sin(π n / 2N), for a pulse that lasts n / N of
+    half a period; "linear" gives n / N, for a board that compensates for the sine itself."""
     working_volume: Real = field(
         default_factory=lambda: np.array(((-0.12, -0.12, 0.05), (0.12, 0.12, 0.45)))
     )
-    """Corners of the box, in the array's own coordinates, where foci may lie [m], shape [2, 3]."""
+    """Lowest and highest corner of the box in which foci may lie, in the array's own coordinates
+    [m], shape [2, 3]."""
     pose: Real = field(default_factory=lambda: np.eye(4))
-    """World from the array's own coordinates (origin in the middle, Z out of it), shape [4, 4]."""
+    """World from array coordinates (origin at the center, Z out of the array), shape [4, 4]."""
 
     def __post_init__(self) -> None:
         count = len(self.positions)
         if count == 0:
-            raise ValueError("TransducerArray.positions is empty; an array has a transducer.")
+            raise ValueError("TransducerArray.positions is empty; it needs at least one.")
         shapes: dict[str, tuple[int, ...]] = {
             "positions": (count, 3),
             "normals": (count, 3),
@@ -136,7 +137,7 @@ class TransducerArray:
 
     @property
     def position(self) -> Real:
-        """Middle of the array in world coordinates [m], shape [3]."""
+        """Center of the array in world coordinates [m], shape [3]."""
         return self.pose[:3, 3].copy()
 
     @property
@@ -145,21 +146,21 @@ class TransducerArray:
         return self.pose[:3, 2].copy()
 
     def placed(self, pose: ArrayLike) -> TransducerArray:
-        """Stand the array somewhere else.
+        """A copy of the array at another pose.
 
         Args:
-            pose: World from the array's own coordinates, a rotation and a shift [m], shape [4, 4].
+            pose: World from array coordinates, a rotation and a translation [m], shape [4, 4].
 
         Raises:
-            ValueError: The matrix scales, shears, mirrors or holds values that are not finite.
+            ValueError: The matrix scales, shears, mirrors or has values that are not finite.
         """
         matrix = np.asarray(pose, np.float64)
         turn = matrix[:3, :3] if matrix.shape == (4, 4) else np.zeros((3, 3))
         rigid = np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
         if not rigid or np.linalg.det(turn) < 0.0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
             raise ValueError(
-                "An array can be moved and turned only: its pose must be a 4×4 matrix of a "
-                "rotation and a shift. Apply the object's scale first."
+                "An array can only be moved and rotated: its pose must be a 4×4 matrix of a "
+                "rotation and a translation. Apply the object's scale first."
             )
         step = matrix @ np.linalg.inv(self.pose)
         return replace(
@@ -170,15 +171,15 @@ class TransducerArray:
         )
 
     def reaches(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which points lie in the working volume, shape [P].
+        """Whether each point lies in the working volume, shape [P].
 
         Args:
-            points: World coordinates [m], shape [P, 3]; what is not finite lies outside.
+            points: World coordinates [m], shape [P, 3]; points that are not finite lie outside.
         """
         inverse = np.linalg.inv(self.pose)
-        own = np.asarray(points, np.float64).reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
+        local = np.asarray(points, np.float64).reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
         low, high = self.working_volume
-        return np.asarray(((own >= low) & (own <= high)).all(axis=1))
+        return np.asarray(((local >= low) & (local <= high)).all(axis=1))
 
     @classmethod
     def grid(
@@ -190,30 +191,32 @@ class TransducerArray:
         missing: ArrayLike = (),
         **values: Any,
     ) -> TransducerArray:
-        """Lay out a flat grid in the XY plane, centered on the origin, that emits along +Z.
+        """Make a flat grid in the XY plane, centered on the origin, that emits along +Z.
 
         Transducers are listed row by row: X grows fastest, then Y.
 
         Args:
-            columns: How many stand along X.
-            rows: How many stand along Y.
-            pitch: Distance of neighbors [m].
-            missing: Column and row of places without a transducer, shape [M, 2].
-            values: Every other field of the class.
+            columns: Number of transducers along X.
+            rows: Number of transducers along Y.
+            pitch: Distance between neighbors [m].
+            missing: Column and row of each empty place, shape [M, 2].
+            values: All other fields of the class.
 
         Raises:
-            ValueError: A count or the pitch is not greater than 0, or a place is not in the grid.
+            ValueError: A count or the pitch is not greater than 0, or an empty place is not in the
+                grid.
         """
         if columns < 1 or rows < 1 or not (math.isfinite(pitch) and pitch > 0):
             raise ValueError(
-                f"A grid of {columns} × {rows} transducers {pitch!r} m apart cannot be laid out."
+                f"A grid of {columns} × {rows} transducers with a pitch of {pitch!r} m cannot be "
+                "made: all three must be greater than 0."
             )
         gaps = np.asarray(missing, np.int64).reshape(-1, 2)
         if ((gaps < 0) | (gaps >= (columns, rows))).any():
-            raise ValueError("A place without transducer is given that is not in the grid.")
-        there = np.ones((rows, columns), bool)
-        there[gaps[:, 1], gaps[:, 0]] = False
-        row, column = np.nonzero(there)
+            raise ValueError("A missing transducer is not in the grid.")
+        present = np.ones((rows, columns), bool)
+        present[gaps[:, 1], gaps[:, 0]] = False
+        row, column = np.nonzero(present)
         positions = np.zeros((len(row), 3))
         positions[:, 0] = (column - 0.5 * (columns - 1)) * pitch
         positions[:, 1] = (row - 0.5 * (rows - 1)) * pitch
@@ -221,7 +224,7 @@ class TransducerArray:
 
     @classmethod
     def preset_names(cls) -> list[str]:
-        """Names that `preset` knows, sorted."""
+        """Names of the presets that ship with the project, sorted."""
         return preset_names(_PRESET_FOLDER)
 
     @classmethod
@@ -229,10 +232,10 @@ class TransducerArray:
     def preset(cls, name: str) -> TransducerArray:
         """An array that ships with the project (``presets/arrays/*.toml``).
 
-        Its file is read once: arrays are asked for in each frame, and never change.
+        Each file is read only once, because live frames need the array every time.
 
         Raises:
-            ValueError: No such preset, or its file is damaged; the message says which are there.
+            ValueError: There is no such preset, or its file is damaged.
         """
         return cls.from_toml(preset_path(_PRESET_FOLDER, name, "array"))
 
@@ -240,11 +243,11 @@ class TransducerArray:
     def from_toml(cls, path: Path) -> TransducerArray:
         """Read an array from a TOML file.
 
-        Its ``[array]`` table holds fields of this class; the transducers' places come from a
-        ``[grid]`` table with columns, rows, pitch [m] and missing, or from positions and normals.
+        The ``[array]`` table holds fields of this class. The positions come from it too, or from a
+        ``[grid]`` table with columns, rows, pitch [m] and missing.
 
         Raises:
-            ValueError: The file is not valid TOML, a key is unknown or a value does not fit.
+            ValueError: The file is not valid TOML, a key is unknown or a value is invalid.
             OSError: The file cannot be read.
         """
         tables = read_tables(path, "array")
