@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the contact forces of a frame to its focal points, and the state the next frame needs."""
+"""Turns the contact forces of each frame into focal points, with state between frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TouchFrame:
 
 
 class TouchPipeline:
-    """Pressure field, then focal points, each from frame to frame.
+    """Computes the pressure field and the focal points of successive frames.
 
     Example:
         >>> pipeline = TouchPipeline()
@@ -53,26 +53,25 @@ class TouchPipeline:
         ceiling: float = 1000.0,
         count: int = 8,
     ) -> TouchFrame:
-        """Find the focal points of a frame.
+        """Compute the focal points of a frame.
 
         Args:
-            contacts: What the solver tells of each hand: ghosts' positions [m], normals, areas [m²]
-                and forces [N], see `PressureField.from_contacts`.
+            contacts: The solver's contacts of each hand, see `PressureField.from_contacts`.
             array: The array, placed in the world.
-            weights: Perceptual weights of each hand's ghosts; 1 where not given.
-            dt: Time since the frame before [s]; None for a frame without a predecessor.
-            gain: Focal over contact pressure for light contact.
-            ceiling: Greatest focal pressure [Pa].
-            count: Largest number of focal points.
+            weights: Perceptual weights of the ghosts of each hand; None for 1.
+            dt: Time since the previous frame [s]; None to start anew.
+            gain: Focal pressure per contact pressure in light contact.
+            ceiling: Maximum focal pressure [Pa].
+            count: Maximum number of focal points.
 
         Raises:
-            ValueError: Shapes do not fit, or an option is out of its range.
+            ValueError: Shapes do not match, or an option is out of range.
         """
         fields = []
         for index, contact in enumerate(contacts):
             last = self._fields[index] if dt is not None and index < len(self._fields) else None
             if last is not None and len(last.state) != len(contact.areas):
-                # A hand that was bound again has other ghosts.
+                # The hand was bound again and has new ghosts.
                 last = None
             fields.append(
                 PressureField.from_contacts(

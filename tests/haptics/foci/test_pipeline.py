@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From frame to frame: what is pressed is felt, and what changes is followed."""
+"""From contacts to focal points, frame by frame."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ ARRAY = TransducerArray.preset("sonicsurface")
 
 
 def test_focal_points_follow_what_presses() -> None:
-    """Move focal points with three fingers that go round, by no leap."""
+    """Follow three circling fingers without jumps."""
     pipeline = TouchPipeline()
     last = None
     for number in range(20):
@@ -32,16 +32,16 @@ def test_focal_points_follow_what_presses() -> None:
         last = frame
 
 
-def test_nothing_pressed_is_silence_and_no_hand_is_none() -> None:
-    """Give no focal points where nothing presses, and where there is no hand."""
+def test_no_contact_and_no_hand_give_no_focal_points() -> None:
+    """Give no focal points if no ghost carries a force, or if there is no hand."""
     still = palm_contacts(0)
     still = Contacts(still.positions, still.normals, still.areas, np.zeros_like(still.forces))
     assert TouchPipeline().step([still], ARRAY).foci.count == 0
     assert TouchPipeline().step([], ARRAY).foci.count == 0
 
 
-def test_a_hand_that_is_bound_anew_starts_anew() -> None:
-    """Go on without an error when a hand has other ghosts than in the last frame."""
+def test_a_hand_that_is_bound_again_starts_anew() -> None:
+    """Continue without an error when a hand has different ghosts than in the last frame."""
     pipeline = TouchPipeline()
     pipeline.step([palm_contacts(0)], ARRAY, dt=1 / 60)
     whole = palm_contacts(1)
@@ -53,14 +53,14 @@ def test_a_hand_that_is_bound_anew_starts_anew() -> None:
 
 
 def test_weights_draw_focal_points() -> None:
-    """Leave skin alone that feels nothing."""
+    """Ignore skin with a weight of 0."""
     contacts = palm_contacts(0)
     left = contacts.positions[:, 0] < 0.0
     frame = TouchPipeline().step([contacts], ARRAY, weights=[left.astype(float)], count=3)
     assert (frame.foci.positions[:, 0] < 0.01).all()
 
 
-def test_what_is_out_of_range_is_refused() -> None:
-    """Refuse a gain of nothing, by name."""
+def test_options_out_of_range_are_refused() -> None:
+    """Refuse a gain of 0, by name."""
     with pytest.raises(ValueError, match="gain"):
         TouchPipeline().step([palm_contacts(0)], ARRAY, gain=0.0)
