@@ -152,7 +152,7 @@ def test_a_port_that_stalls_is_abandoned(stock: Peer) -> None:
         sound(out, stock)
         stock.ask("stall")
         keep_sending(out, TWO_FOCI, lambda: out.status().losses > 0, "a write timeout")
-        assert "takes no data" in out.status().fault
+        assert "accepts no data" in out.status().fault
         time.sleep(0.3)
         check_lateness(lambda: lateness(stock, stock.ask("resume")["time"]))
         sound(out, stock)

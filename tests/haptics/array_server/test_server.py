@@ -167,7 +167,7 @@ def test_a_capped_drive_keeps_its_phases(amplitudes: np.ndarray, limit: float, p
 
 
 def test_sound_without_a_pause_is_limited() -> None:
-    """Pause after the on-time limit during constant focal points, and sound at most half of the time."""
+    """Pause at the on-time limit although focal points continue; sound at most half the time."""
     started = Bench(limits=Limits(on_time=12.0), preset="ultraino")
     started.server.step(0.0)
     sounding = []
