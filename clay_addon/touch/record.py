@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points recorded with the bake, and felt again while it plays, without simulating.
+"""Records focal points with the bake, and sends them during playback without simulating.
 
-The cache keeps ``foci_000001.npz`` beside each frame: positions in world space and Blender units,
-as all else there, and pressures in pascals.
+The cache has a file such as ``foci_000001.npz`` for each frame. Its positions are in world space
+and Blender units, like everything else in the cache, and its pressures in pascals.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 
 def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, scale: float) -> None:
-    """Keep what was felt at a frame of the bake.
+    """Record the focal points of a frame of the bake.
 
     Args:
         cache: The bake's cache.
         number: Number of the frame.
-        frame: What was felt.
-        meta: The bake's.
-        scale: Meters in a Blender unit.
+        frame: The frame.
+        meta: The bake's metadata.
+        scale: Meters per Blender unit.
 
     Raises:
         CacheError: The folder cannot be written to.
@@ -45,15 +45,15 @@ def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, sc
 
 
 def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
-    """What was felt at a frame of the bake.
+    """The focal points recorded at a frame of the bake.
 
     Args:
         cache: The bake's cache.
         number: Number of the frame.
-        scale: Meters in a Blender unit.
+        scale: Meters per Blender unit.
 
     Raises:
-        CacheError: Nothing was recorded there, or it is damaged.
+        CacheError: Nothing was recorded at this frame, or the file is damaged.
     """
     from ...haptics import Foci
     from ...haptics.foci.pipeline import TouchFrame
@@ -67,24 +67,24 @@ def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
 
 
 class TouchReplay:
-    """Whether what was recorded is felt while the bake plays."""
+    """State of the replay of recorded touch."""
 
     def __init__(self) -> None:
         self.paused = False
-        """Set while a live session or a bake feels for itself."""
+        """Set while a live session or a bake computes its own touch."""
 
 
 replay = TouchReplay()
-"""One for the process, since Blender calls its handlers without any state."""
+"""One for the process, because Blender calls its handlers without any state."""
 
 
 @persistent
 def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
-    """Feel what was recorded at the frame that is shown now."""
+    """Send the focal points recorded at the current frame."""
     properties = scene.tactile_touch
     if replay.paused or not properties.play_baked or properties.array is None:
         return
-    # A render goes by in a thread of its own, and not in time.
+    # A render runs in a separate thread, and not in real time.
     if bpy.app.is_job_running("RENDER"):
         return
     if touch.client is None and not properties.show_overlay:
@@ -100,15 +100,15 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
     try:
         touch.feel(scene, frame)
     except TouchArrayError:
-        # The panel says so at the next connection.
+        # The error is reported at the next connection.
         touch.show(frame)
 
 
 def register() -> None:
-    """Follow the frames."""
+    """Follow changes of the current frame."""
     add_handlers((("frame_change_post", _feel_frame),))
 
 
 def unregister() -> None:
-    """Follow them no more."""
+    """Stop following them."""
     remove_handlers((("frame_change_post", _feel_frame),))

@@ -256,7 +256,7 @@ def test_what_keeps_touch_from_being_recorded_is_told(studio: Any, hand: Any) ->
     assert bpy.ops.clay.hand_make() == {"FINISHED"}
     result = bake(bpy.context, end=2)
     (warning,) = result.warnings
-    assert "All skin of 'Right hand' counts the same for touch: " in warning
+    assert "Touch treats all skin of 'Right hand' as equally sensitive: " in warning
     assert Cache(result.directory).foci_frames() == [1, 2]
 
 
