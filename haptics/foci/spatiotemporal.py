@@ -196,7 +196,7 @@ def plan_route(
         math.ceil(len(nodes) * step * UPDATE_RATE / speed),
         math.ceil(focus_count * UPDATE_RATE / _REPEAT_RATE),
     )
-    places = np.arange(count) * (len(nodes) / count)
+    places = np.arange(count, dtype=np.float64) * (len(nodes) / count)
     index = places.astype(np.intp)
     return Route(
         _interpolated(nodes, places, index),
