@@ -163,11 +163,11 @@ class TouchConnection:
             count=properties.focus_count,
         )
         if send and self.client is not None:
-            self._send(self.client, scene, frame, array, taken=begin)
+            self._send_to(self.client, scene, frame, array, taken=begin)
         self.show(frame)
         return frame
 
-    def feel(self, scene: bpy.types.Scene, frame: TouchFrame) -> None:
+    def send(self, scene: bpy.types.Scene, frame: TouchFrame) -> None:
         """Send a recorded frame to the array if one is connected, and show it.
 
         Args:
@@ -178,10 +178,10 @@ class TouchConnection:
             TouchArrayError: The scene's array object is scaled or sheared.
         """
         if self.client is not None:
-            self._send(self.client, scene, frame, placed_array(scene))
+            self._send_to(self.client, scene, frame, placed_array(scene))
         self.show(frame)
 
-    def _send(
+    def _send_to(
         self,
         client: ArrayClient,
         scene: bpy.types.Scene,

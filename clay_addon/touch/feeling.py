@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch of a bake, recorded with it frame by frame."""
+"""Touch of a bake, recorded with it frame by frame, and perceptual weights of its hands."""
 
 from __future__ import annotations
 

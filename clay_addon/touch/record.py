@@ -79,7 +79,7 @@ replay = TouchReplay()
 
 
 @persistent
-def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
+def _send_frame(scene: bpy.types.Scene, *_: object) -> None:
     """Send the focal points recorded at the current frame."""
     properties = scene.tactile_touch
     if replay.paused or not properties.play_baked or properties.array is None:
@@ -98,7 +98,7 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
         touch.show(None)
         return
     try:
-        touch.feel(scene, frame)
+        touch.send(scene, frame)
     except TouchArrayError:
         # The error is reported at the next connection.
         touch.show(frame)
@@ -106,9 +106,9 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
 
 def register() -> None:
     """Follow changes of the current frame."""
-    add_handlers((("frame_change_post", _feel_frame),))
+    add_handlers((("frame_change_post", _send_frame),))
 
 
 def unregister() -> None:
     """Stop following them."""
-    remove_handlers((("frame_change_post", _feel_frame),))
+    remove_handlers((("frame_change_post", _send_frame),))

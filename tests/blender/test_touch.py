@@ -20,7 +20,7 @@ foci = Foci(np.array(((0.0, 0.0, 0.2),)), np.array((500.0,)), np.zeros(0, int), 
 frame = TouchFrame(foci)
 end = time.monotonic() + 30.0
 while time.monotonic() < end and not (touch.status and touch.status.foci):
-    touch.feel(scene, frame)
+    touch.send(scene, frame)
     time.sleep(1 / 60)
 print("FELT", touch.status.foci, touch.status.device)
 process = touch.client.process

@@ -33,7 +33,7 @@ def aliases(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def test_a_class_name_means_one_thing(repository: Path) -> None:
-    """Define each class name of haptics once, here or in another part of the project."""
+    """Reuse no class name of haptics, in haptics itself or elsewhere in the project."""
     places: dict[str, list[str]] = defaultdict(list)
     for part in ("haptics", "solver", "clay_addon"):
         for suffix in (".py", ".hpp", ".cpp"):

@@ -60,7 +60,7 @@ def feel_until(scene: Any, frame: TouchFrame, until: Any, what: str) -> None:
     """Send the same frame at the rate of a live scene until a condition is true."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
-        touch.feel(scene, frame)
+        touch.send(scene, frame)
         if until():
             return
         time.sleep(1 / 60)
