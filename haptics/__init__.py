@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From contact forces to focal points on an ultrasound array. Never imports Blender."""
+"""Turns contact forces into focal points on an ultrasound array. Never imports Blender."""
 
 from .acoustics.acoustic_field import acoustic_field
 from .acoustics.drive import solve_drive

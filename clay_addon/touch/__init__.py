@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch: the array, the connection to its server, and what each frame feels like."""
+"""Touch: the array object, the connection to its server, and focal points of each frame."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ultrasound array as an object to place: where it stands is where its sound comes from."""
+"""The ultrasound array as an object in the scene, which gives its position and rotation."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 _CORNERS = 12
 _MARGIN = 0.012
-"""From the outermost transducers' centers to the plate's edge [m]."""
+"""Distance from the centers of the outermost transducers to the edge of the plate [m]."""
 _ARROW = 0.06
-"""Length of the arrow out of the plate [m]."""
+"""Length of the arrow that shows the direction of the sound [m]."""
 
 
 class TouchArrayError(TactileClayError):
@@ -27,11 +27,11 @@ class TouchArrayError(TactileClayError):
 
 
 def add_array(context: bpy.types.Context, preset: str) -> bpy.types.Object:
-    """Add an array at the 3D cursor, facing up its Z, and make it the scene's.
+    """Add an array object at the 3D cursor, facing its Z axis, and make it the scene's array.
 
     Args:
-        context: Its scene gets the object.
-        preset: Name of the array's preset.
+        context: Gives the scene and collection to add the object to.
+        preset: Name of the array preset.
     """
     from ...haptics import TransducerArray
 
@@ -50,17 +50,17 @@ def add_array(context: bpy.types.Context, preset: str) -> bpy.types.Object:
 
 
 def _mesh(name: str, array: TransducerArray, scene: bpy.types.Scene) -> bpy.types.Mesh:
-    """A plate's outline, a disc for each transducer, and an arrow where the sound goes."""
-    turn = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
-    disc = array.radius * np.column_stack((np.cos(turn), np.sin(turn), np.zeros(_CORNERS)))
-    places = (array.positions[:, None] + disc).reshape(-1, 3)
+    """An outline of the plate, a disc for each transducer, and an arrow along the sound."""
+    angle = 2.0 * np.pi * np.arange(_CORNERS) / _CORNERS
+    disc = array.radius * np.column_stack((np.cos(angle), np.sin(angle), np.zeros(_CORNERS)))
+    discs = (array.positions[:, None] + disc).reshape(-1, 3)
     low = array.positions.min(axis=0) - _MARGIN
     high = array.positions.max(axis=0) + _MARGIN
     plate = [(low[0], low[1], 0), (high[0], low[1], 0), (high[0], high[1], 0), (low[0], high[1], 0)]
     tip, side = _ARROW, 0.15 * _ARROW
     arrow = [(0, 0, 0), (0, 0, tip), (side, 0, tip - side), (-side, 0, tip - side)]
-    first = len(places)
-    vertices = from_meters(scene, np.concatenate((places, plate, arrow)))
+    first = len(discs)
+    vertices = from_meters(scene, np.concatenate((discs, plate, arrow)))
     edges = [(first + i, first + (i + 1) % 4) for i in range(4)]
     edges += [(first + 4 + a, first + 4 + b) for a, b in ((0, 1), (1, 2), (1, 3))]
     faces = np.arange(first).reshape(-1, _CORNERS).tolist()
@@ -70,10 +70,10 @@ def _mesh(name: str, array: TransducerArray, scene: bpy.types.Scene) -> bpy.type
 
 
 def placed_array(scene: bpy.types.Scene) -> TransducerArray | None:
-    """The scene's array where it stands, in meters; None where it has none.
+    """The scene's array at the pose of its object, in meters; None if the scene has no array.
 
     Raises:
-        TouchArrayError: Its object is scaled or sheared.
+        TouchArrayError: The object is scaled or sheared.
     """
     item = scene.tactile_touch.array
     if item is None or item.name not in scene.objects:
@@ -85,13 +85,13 @@ def placed_array(scene: bpy.types.Scene) -> TransducerArray | None:
         return TransducerArray.preset(item.tactile_touch.preset).placed(matrix)
     except ValueError as error:
         raise TouchArrayError(
-            f"{item.name!r} is scaled or sheared, but an array can be moved and turned only. "
+            f"{item.name!r} is scaled or sheared, but an array can only be moved and rotated. "
             "Clear the scale (Alt+S)."
         ) from error
 
 
 class CLAY_OT_array_add(bpy.types.Operator):  # noqa: N801
-    """Add an ultrasound array, to stand where the real one stands"""
+    """Add an ultrasound array object, to place where the real array is"""
 
     bl_idname = "clay.array_add"
     bl_label = "Add Array"
@@ -105,7 +105,7 @@ class CLAY_OT_array_add(bpy.types.Operator):  # noqa: N801
         return bool(context.mode == "OBJECT")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add it."""
+        """Add the array, and select it."""
         item = add_array(context, self.preset)
         for other in context.selected_objects:
             other.select_set(False)
@@ -120,5 +120,5 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister it."""
+    """Unregister the operator."""
     bpy.utils.unregister_class(CLAY_OT_array_add)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch: the connection to an array server, and what the hands feel in each frame.
+"""The connection to an array server, and the focal points of the current frame.
 
-The server is a process of its own that ends with Blender. Everything here runs in Blender's main
-thread and waits for nothing but the server's start.
+The server is a separate process that ends with Blender. Everything here runs in Blender's main
+thread and only waits for the start of the server.
 """
 
 from __future__ import annotations
@@ -23,14 +23,20 @@ from .array import placed_array
 from .properties import device_name
 
 if TYPE_CHECKING:
+    from ...haptics import TransducerArray
     from ...haptics.array_server import ArrayClient, ArrayStatus
     from ...haptics.foci.pipeline import TouchFrame, TouchPipeline
 
-_LOOK_EVERY = 0.25
-"""The status is asked for this often [s]."""
-_ANSWERS_WITHIN = 2.0
-"""A server that was started by hand answers at once [s]."""
-_PARTS = {"SONICSURFACE": "pyserial", "ULTRAINO": "pyserial", "OPENMPD": "pyusb", "AUTD3": "autd3"}
+_STATUS_INTERVAL = 0.25
+"""Interval at which the status is requested [s]."""
+_ANSWER_TIMEOUT = 2.0
+"""Maximum time to wait for a server started from the command line [s]."""
+_PACKAGES = {
+    "SONICSURFACE": "pyserial",
+    "ULTRAINO": "pyserial",
+    "OPENMPD": "pyusb",
+    "AUTD3": "autd3",
+}
 _MODULES = {"pyserial": "serial", "pyusb": "usb", "autd3": "autd3"}
 
 
@@ -38,49 +44,49 @@ class TouchError(TactileClayError):
     """Touch is not available; the message says why and what to do."""
 
 
-def missing_touch_part(kind: str) -> str:
-    """The package that a kind of device lacks, as a sentence; empty if it lacks none."""
-    part = _PARTS.get(kind)
-    if part is None:
+def missing_touch_package(kind: str) -> str:
+    """A message about the package that a kind of device needs but lacks; empty if none."""
+    package = _PACKAGES.get(kind)
+    if package is None:
         return ""
     found = False
     with suppress(ImportError, ValueError):
-        found = importlib.util.find_spec(_MODULES[part]) is not None
+        found = importlib.util.find_spec(_MODULES[package]) is not None
     if found:
         return ""
-    where = (
+    remedy = (
         "Install it, autd3-pattern and autd3-modulation into another Python with tactile-clay, run "
         "tactile-clay array-server autd3 there, and choose Running Server here"
-        if part == "autd3"
-        else "Install the extension from its zip for this platform, which brings it along"
+        if package == "autd3"
+        else "Install the extension from its zip for this platform, which includes it"
     )
-    return f"The package {part} is missing, which this array needs. {where}."
+    return f"This array needs the package {package}, which is missing. {remedy}."
 
 
 class TouchConnection:
-    """The connection to an array server, and what is felt now."""
+    """The connection to an array server, and the current frame of touch."""
 
     def __init__(self) -> None:
         self.client: ArrayClient | None = None
-        """The connection; None while there is none."""
+        """The connection; None if not connected."""
         self.shown: TouchFrame | None = None
-        """What is felt now, or would be if an array were connected."""
+        """The current frame, whether or not an array is connected."""
         self.status: ArrayStatus | None = None
-        """What the server said last."""
+        """The server's latest status."""
         self._pipeline: TouchPipeline | None = None
 
     def connect(self, context: bpy.types.Context) -> None:
-        """Start an array server for the scene's device, or connect to one that runs.
+        """Start an array server for the scene's device, or connect to a running one.
 
         Raises:
-            TouchError: It does not start.
-            TouchArrayError: The scene's array object is scaled.
+            TouchError: The server does not start or answer.
+            TouchArrayError: The scene's array object is scaled or sheared.
         """
         self.disconnect()
         from ...haptics.array_server import ArrayClient, ArrayServerError
 
         properties = context.scene.tactile_touch
-        missing = missing_touch_part(properties.kind)
+        missing = missing_touch_package(properties.kind)
         if missing:
             raise TouchError(missing)
         array = placed_array(context.scene)
@@ -88,11 +94,11 @@ class TouchConnection:
         if properties.kind == "SERVER":
             self.client = ArrayClient(properties.server_port, pose=pose)
             self.client.hello()
-            found = self.read_status(wait=_ANSWERS_WITHIN)
-            if found is None or not found.heard:
+            status = self.read_status(wait=_ANSWER_TIMEOUT)
+            if status is None or not status.heard:
                 self.disconnect()
                 raise TouchError(
-                    f"No array server answers at port {properties.server_port}. Start one with "
+                    f"No array server answers on port {properties.server_port}. Start one with "
                     "tactile-clay array-server DEVICE."
                 )
         else:
@@ -101,15 +107,15 @@ class TouchConnection:
             except ArrayServerError as error:
                 raise TouchError(str(error)) from error
         if not bpy.app.background:
-            bpy.app.timers.register(_look, first_interval=_LOOK_EVERY)
+            bpy.app.timers.register(_update_status, first_interval=_STATUS_INTERVAL)
 
     def disconnect(self) -> None:
-        """Silence the array and end the server; does nothing where there is none."""
+        """Silence the array and end the server; does nothing if not connected."""
         if self.client is not None:
             self.client.close()
         self.client = self.status = None
-        if bpy.app.timers.is_registered(_look):
-            bpy.app.timers.unregister(_look)
+        if bpy.app.timers.is_registered(_update_status):
+            bpy.app.timers.unregister(_update_status)
 
     def touch_frame(
         self,
@@ -121,21 +127,21 @@ class TouchConnection:
         taken: float | None = None,
         send: bool = True,
     ) -> TouchFrame | None:
-        """Turn the contacts of a frame into touch; live sessions and bakes call it once a frame.
+        """Turn contacts into focal points, once per frame of a live session or a bake.
 
         Args:
-            scene: Its array and settings count.
+            scene: Holds the array object and the settings.
             contacts: ``solver.contacts(hand)`` of each hand, in meters and world coordinates.
-            weights: Perceptual weights of each hand's ghosts.
-            dt: Time since the last frame [s]; None after a jump.
-            taken: When the contacts were taken, by `time.monotonic` [s]; now if not given.
-            send: Whether it is sent to the array; a bake is not in real time and only records it.
+            weights: Perceptual weights of the ghosts of each hand.
+            dt: Time since the last frame [s]; None to start anew.
+            taken: When the contacts were computed, by `time.monotonic` [s]; None for now.
+            send: Whether to send the frame to the array; a bake is not real-time and records it.
 
         Returns:
-            The frame, to be recorded with the bake; None where the scene has no array.
+            The frame, to be recorded with the bake; None if the scene has no array.
 
         Raises:
-            TouchArrayError: The scene's array object is scaled.
+            TouchArrayError: The scene's array object is scaled or sheared.
         """
         begin = time.monotonic() if taken is None else taken
         array = placed_array(scene)
@@ -156,49 +162,58 @@ class TouchConnection:
             ceiling=properties.ceiling,
             count=properties.focus_count,
         )
-        if send:
-            self.feel(scene, frame, taken=begin)
-        else:
-            self.show(frame)
+        if send and self.client is not None:
+            self._send_to(self.client, scene, frame, array, taken=begin)
+        self.show(frame)
         return frame
 
-    def feel(
-        self, scene: bpy.types.Scene, frame: TouchFrame, *, taken: float | None = None
-    ) -> None:
-        """Send a frame to the array, if one is connected, and show it.
+    def send(self, scene: bpy.types.Scene, frame: TouchFrame) -> None:
+        """Send a recorded frame to the array if one is connected, and show it.
 
         Args:
-            scene: Its array and modulation count.
-            frame: What shall be felt.
-            taken: When its contacts were taken, by `time.monotonic` [s]; now if not given.
+            scene: Holds the array object and the modulation setting.
+            frame: What to send.
+
+        Raises:
+            TouchArrayError: The scene's array object is scaled or sheared.
         """
         if self.client is not None:
-            from ...haptics.array_server import Modulation
-
-            array = placed_array(scene)
-            if array is not None:
-                self.client.set_pose(array.pose)
-            modulation = Modulation[scene.tactile_touch.modulation]
-            self.client.send(frame, modulation=modulation, time=taken)
-            self.read_status()
+            self._send_to(self.client, scene, frame, placed_array(scene))
         self.show(frame)
 
+    def _send_to(
+        self,
+        client: ArrayClient,
+        scene: bpy.types.Scene,
+        frame: TouchFrame,
+        array: TransducerArray | None,
+        *,
+        taken: float | None = None,
+    ) -> None:
+        from ...haptics.array_server import Modulation
+
+        if array is not None:
+            client.set_pose(array.pose)
+        modulation = Modulation[scene.tactile_touch.modulation]
+        client.send(frame.foci, modulation=modulation, time=taken)
+        self.read_status()
+
     def show(self, frame: TouchFrame | None) -> None:
-        """Show a frame in the overlay without sending it."""
+        """Show a frame in the overlay without sending it; None shows nothing."""
         self.shown = frame
 
     def rest(self) -> None:
-        """Silence the array and forget the previous frame, at the end of a live session."""
+        """Silence the array and reset the state between frames, at the end of a live session."""
         self._pipeline = None
         self.show(None)
         if self.client is not None:
             self.client.silence()
 
     def read_status(self, *, wait: float = 0.0) -> ArrayStatus | None:
-        """What the server says; None where none is connected.
+        """The server's latest status; None if not connected.
 
         Args:
-            wait: Wait up to this long [s] for something newer.
+            wait: Wait up to this long for a newer status [s].
         """
         if self.client is not None:
             self.status = self.client.status(wait=wait)
@@ -206,17 +221,17 @@ class TouchConnection:
 
 
 touch = TouchConnection()
-"""The connection of this Blender."""
+"""The connection of this Blender process."""
 
 
-def _look() -> float | None:
-    """Ask for the status, and redraw the panels."""
+def _update_status() -> float | None:
+    """Request and read the status, and redraw the panels."""
     if touch.client is None:
         return None
     touch.client.hello()
     touch.read_status()
     redraw_views()
-    return _LOOK_EVERY
+    return _STATUS_INTERVAL
 
 
 @persistent
@@ -226,11 +241,11 @@ def _end_with_file(*_: object) -> None:
 
 
 def register() -> None:
-    """Let go of the array when another file is opened."""
+    """Disconnect the array whenever another file is opened."""
     add_handlers((("load_pre", _end_with_file),))
 
 
 def unregister() -> None:
-    """Let go of the array."""
+    """Disconnect the array."""
     _end_with_file()
     remove_handlers((("load_pre", _end_with_file),))

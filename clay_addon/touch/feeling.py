@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the hands of a bake would be let feel: recorded with it, frame by frame."""
+"""Touch of a bake, recorded with it frame by frame, and perceptual weights of its hands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .record import record_touch, replay
 
 @contextmanager
 def own_touch() -> Iterator[None]:
-    """Leave what was recorded alone inside the context, and forget what was felt before."""
+    """Pause the replay of recorded touch inside the context, and reset touch at both ends."""
     replay.paused = True
     touch.rest()
     try:
@@ -28,12 +28,12 @@ def own_touch() -> Iterator[None]:
 
 
 class BakeTouch:
-    """Records what is felt at each frame, where the scene has an array and hands.
+    """Records the touch of each frame of a bake, if the scene has an array and hands.
 
     Args:
-        simulation: Running, at its first frame.
+        simulation: The running simulation, at its first frame.
         cache: The bake's cache.
-        meta: The bake's.
+        meta: The bake's metadata.
     """
 
     def __init__(self, simulation: Simulation, cache: Cache, meta: Meta) -> None:
@@ -42,24 +42,24 @@ class BakeTouch:
         self._meta = meta
         self._time_step: float | None = None
         self.warnings: list[str] = []
-        """What the user should know of it."""
-        self._on = bool(simulation.hands) and self._has_array()
+        """Messages for the user."""
+        self._enabled = bool(simulation.hands) and self._has_array()
         self._weights: list[NDArray | None] = []
-        if self._on:
+        if self._enabled:
             self._weights, warnings = ghost_weights(simulation)
             self.warnings += warnings
 
     def after(self, number: int, *, record: bool) -> None:
-        """A frame is simulated: let it be felt, and record it.
+        """Compute and record the touch of a simulated frame.
 
         Args:
             number: Number of the frame.
-            record: Whether to keep it; it decides what the next frames feel like either way.
+            record: Whether to record it; the frame affects the following frames either way.
 
         Raises:
             CacheError: The folder cannot be written to.
         """
-        if not self._on:
+        if not self._enabled:
             return
         simulation = self._simulation
         assert simulation.solver is not None
@@ -77,7 +77,7 @@ class BakeTouch:
                 send=False,
             )
         except TouchArrayError as error:
-            self._stop(error, f" from frame {number} on")
+            self._disable(error, f" from frame {number} on")
             return
         self._time_step = simulation.time_step
         if frame is not None and record:
@@ -87,33 +87,35 @@ class BakeTouch:
         try:
             return placed_array(self._simulation.scene) is not None
         except TouchArrayError as error:
-            self._stop(error, "")
+            self._disable(error, "")
             return False
 
-    def _stop(self, error: TouchArrayError, when: str) -> None:
-        self._on = False
+    def _disable(self, error: TouchArrayError, when: str) -> None:
+        self._enabled = False
         self.warnings.append(f"No touch was recorded with the bake{when}: {error}")
 
 
 def ghost_weights(simulation: Simulation) -> tuple[list[NDArray | None], list[str]]:
-    """How much touch counts on each ghost of each hand, by the scene's setting.
+    """Perceptual weights of the ghosts of each hand, according to the scene's setting.
 
     Returns:
-        Perceptual weights of each hand's ghosts, and what the user should know of them.
+        Weights of each hand's ghosts, None for equal weights, and warnings for the user.
     """
     from ...haptics.skin.sensitivity import SkinSensitivity
 
-    found: list[NDArray | None] = []
+    all_weights: list[NDArray | None] = []
     warnings: list[str] = []
     if not simulation.scene.tactile_touch.use_weights:
-        return found, warnings
+        return all_weights, warnings
     for hand in simulation.hands:
         try:
             weights = SkinSensitivity.of(hand.rig).ghosts
         except ValueError as error:
-            warnings.append(f"All skin of {hand.item.name!r} counts the same for touch: {error}")
-            found.append(None)
+            warnings.append(
+                f"Touch treats all skin of {hand.item.name!r} as equally sensitive: {error}"
+            )
+            all_weights.append(None)
             continue
-        # Ghosts inside the hand feel nothing.
-        found.append(weights[hand.rig.ghost_areas > 0.0])
-    return found, warnings
+        # The solver's contacts contain only the ghosts on the surface.
+        all_weights.append(weights[hand.rig.ghost_areas > 0.0])
+    return all_weights, warnings

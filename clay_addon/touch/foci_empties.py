@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The focal points that a bake recorded, as keyed empties: what was felt can be seen and rendered.
+"""Converts the focal points recorded with a bake to keyframed empties, to be seen and rendered.
 
-Each empty follows one focal point from frame to frame. Its scale is the pressure over the largest
-of the bake, and it is hidden where there is no such point.
+Each empty follows one focal point from frame to frame. Its scale is the pressure relative to the
+maximum of the bake. It is hidden while its focal point does not exist.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..playback.playback import cache_of
 
 COLLECTION_NAME = "Clay Focal Points"
 PRESSURE_PROPERTY = "pressure"
-"""Custom property of an empty: the pressure amplitude [Pa]."""
+"""Custom property of an empty with the pressure amplitude [Pa]."""
 _MARK = "tactile_clay_foci"
 
 
@@ -32,37 +32,37 @@ class FociError(TactileClayError, ValueError):
 
 
 class FociTracks(NamedTuple):
-    """Focal points sorted into tracks, each one point that moves."""
+    """Focal points sorted into tracks, each of one moving point."""
 
     frames: NDArray[np.int64]
     """Frame numbers, shape [F]."""
     positions: NDArray[np.float32]
-    """In the world [Blender units], shape [F, K, 3]; where absent, the nearest that is known."""
+    """World positions [Blender units], shape [F, K, 3]; while absent, that of the nearest frame."""
     pressures: NDArray[np.float32]
-    """Pressure amplitudes [Pa], 0 where absent, shape [F, K]."""
+    """Pressure amplitudes [Pa], 0 while absent, shape [F, K]."""
 
 
 def follow_foci(frames: Mapping[int, FociFrame], *, reach: float) -> FociTracks:
-    """Sort focal points into tracks: from one frame to the next, the nearest pairs belong together.
+    """Sort focal points into tracks by joining the nearest pairs of successive frames.
 
     Args:
-        frames: What was recorded, by frame number.
-        reach: Farthest that a point moves between two frames [Blender units]; one that appears
-            farther from all others starts a track of its own or takes up an idle one.
+        frames: Recorded focal points by frame number.
+        reach: Maximum distance that a point moves between two frames [Blender units]; a point
+            farther from all others continues an idle track or starts a new one.
 
     Returns:
-        As few tracks as the frame with most focal points needs, or a few more where points jump.
+        As many tracks as the largest number of focal points in a frame.
     """
     numbers = np.array(sorted(frames), np.int64)
-    places: list[dict[int, NDArray[np.float32]]] = []
-    loads: list[dict[int, float]] = []
+    track_positions: list[dict[int, NDArray[np.float32]]] = []
+    track_pressures: list[dict[int, float]] = []
     current: dict[int, NDArray[np.float32]] = {}
     for number in numbers.tolist():
         frame = frames[number]
-        given = {k: frame.positions[k] for k in np.flatnonzero(frame.pressures > 0).tolist()}
+        points = {k: frame.positions[k] for k in np.flatnonzero(frame.pressures > 0).tolist()}
         pairs = sorted(
-            (float(np.linalg.norm(place - before)), point, track)
-            for point, place in given.items()
+            (float(np.linalg.norm(position - before)), point, track)
+            for point, position in points.items()
             for track, before in current.items()
         )
         track_of: dict[int, int] = {}
@@ -70,41 +70,42 @@ def follow_foci(frames: Mapping[int, FociFrame], *, reach: float) -> FociTracks:
             if distance <= reach and point not in track_of and track not in track_of.values():
                 track_of[point] = track
         current = {}
-        for point, place in given.items():
+        for point, position in points.items():
             if point not in track_of:
-                idle = (t for t in range(len(places) + 1) if t not in track_of.values())
+                count = len(track_positions)
+                idle = (track for track in range(count + 1) if track not in track_of.values())
                 track_of[point] = next(idle)
-                if track_of[point] == len(places):
-                    places.append({})
-                    loads.append({})
+                if track_of[point] == count:
+                    track_positions.append({})
+                    track_pressures.append({})
             track = track_of[point]
-            places[track][number] = current[track] = place
-            loads[track][number] = float(frame.pressures[point])
-    positions = np.zeros((len(numbers), len(places), 3), np.float32)
-    pressures = np.zeros((len(numbers), len(places)), np.float32)
-    for track, known in enumerate(places):
-        at = np.array(sorted(known))
-        nearest = at[np.abs(at[None, :] - numbers[:, None]).argmin(axis=1)]
+            track_positions[track][number] = current[track] = position
+            track_pressures[track][number] = float(frame.pressures[point])
+    positions = np.zeros((len(numbers), len(track_positions), 3), np.float32)
+    pressures = np.zeros((len(numbers), len(track_positions)), np.float32)
+    for track, known in enumerate(track_positions):
+        present = np.array(sorted(known))
+        nearest = present[np.abs(present[None, :] - numbers[:, None]).argmin(axis=1)]
         positions[:, track] = [known[number] for number in nearest.tolist()]
-        pressures[:, track] = [loads[track].get(number, 0.0) for number in numbers.tolist()]
+        pressures[:, track] = [track_pressures[track].get(n, 0.0) for n in numbers.tolist()]
     return FociTracks(numbers, positions, pressures)
 
 
 def make_empties(scene: bpy.types.Scene, cache: Cache | None = None) -> list[bpy.types.Object]:
-    """Make keyed empties of the focal points that a bake recorded.
+    """Make keyframed empties of the focal points recorded with a bake.
 
-    Empties made before are replaced. They stand in a collection of their own and need no add-on.
+    They replace empties made before. They are in a separate collection and work without the add-on.
 
     Args:
-        scene: Where they go.
-        cache: The bake; the scene's where not given.
+        scene: The scene to add them to.
+        cache: The bake; None for the scene's.
 
     Returns:
         The empties.
 
     Raises:
-        FociError: if there is no bake, or nothing was felt in it.
-        CacheError: if the cache cannot be read.
+        FociError: There is no bake, or it has no focal points.
+        CacheError: The cache cannot be read.
     """
     cache = cache or cache_of(scene)
     if cache is None or not cache.exists():
@@ -117,11 +118,11 @@ def make_empties(scene: bpy.types.Scene, cache: Cache | None = None) -> list[bpy
             "The bake recorded no focal points. Add an array in the Touch panel, let a hand press "
             "the clay, and bake again."
         )
-    # Nothing is felt where nothing was recorded, nor before and after.
+    # There are no focal points in frames without a record, or before and after the bake.
     for number in range(recorded[0] - 1, recorded[-1] + 2):
         frames.setdefault(number, _nothing(number))
     sigma = from_meters(scene, max(frame.sigma for frame in frames.values()))
-    # A sigma is a wavelength, 8.6 mm at 40 kHz: ten of them a frame are a hand at 2 m/s.
+    # A sigma is a wavelength, 8.6 mm at 40 kHz; ten per frame at 24 fps correspond to 2 m/s.
     tracks = follow_foci(frames, reach=10 * sigma)
     collection = _emptied_collection(scene)
     return [
@@ -171,20 +172,20 @@ def _emptied_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 class CLAY_OT_foci_empties(bpy.types.Operator):  # noqa: N801
-    """Make keyed empties of the focal points that the bake recorded"""
+    """Make keyframed empties of the focal points recorded with the bake"""
 
     bl_idname = "clay.foci_empties"
     bl_label = "Focal Points to Empties"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make them, or report why not."""
+        """Make the empties, or report why not."""
         try:
             empties = make_empties(context.scene)
         except (FociError, CacheError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{len(empties)} focal points keyed")
+        self.report({"INFO"}, f"Inserted keyframes for {len(empties)} focal points")
         return {"FINISHED"}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Connect, Disconnect, and a picture of the sound, as operators."""
+"""Operators to connect and disconnect the array, and to make a picture of its sound."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from .connection import TouchError, touch
 
 _PICTURE = "Touch Field"
 _EDGE = 0.16
-"""Edge of the picture [m]."""
+"""Edge length of the picture [m]."""
 _PIXELS = 128
 
 
 class CLAY_OT_touch_connect(bpy.types.Operator):  # noqa: N801
-    """Start driving the ultrasound array; it is silent until clay is touched"""
+    """Connect the ultrasound array, which is silent until a hand touches clay"""
 
     bl_idname = "clay.touch_connect"
     bl_label = "Connect"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Start the server."""
+        """Connect, or report why not."""
         try:
             touch.connect(context)
         except (TouchError, TouchArrayError) as error:
@@ -34,7 +34,7 @@ class CLAY_OT_touch_connect(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_touch_disconnect(bpy.types.Operator):  # noqa: N801
-    """Silence the ultrasound array and let go of it"""
+    """Silence and disconnect the ultrasound array"""
 
     bl_idname = "clay.touch_disconnect"
     bl_label = "Disconnect"
@@ -45,31 +45,31 @@ class CLAY_OT_touch_disconnect(bpy.types.Operator):  # noqa: N801
         return touch.client is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """End the server."""
+        """Disconnect."""
         touch.disconnect()
         return {"FINISHED"}
 
 
 def field_picture(scene: bpy.types.Scene) -> bpy.types.Object:
-    """Paint the simulated sound in the plane of the touched skin, as an image where it is.
+    """Make an image empty of the simulated sound in the plane of the touched skin.
 
     Args:
-        scene: Its array, and the frame that is shown, count.
+        scene: Holds the array; the image shows the current frame.
 
     Raises:
-        TouchError: There is no array, or nothing is felt.
-        TouchArrayError: The array object is scaled.
+        TouchError: There is no array, or the frame has no focal points.
+        TouchArrayError: The array object is scaled or sheared.
     """
     from ...haptics import solve_drive
     from ...haptics.acoustics.field_picture import field_on_plane, palm_plane, pressure_colors
 
     array, frame = placed_array(scene), touch.shown
     if array is None:
-        raise TouchError("There is no array in this scene: Add > Ultrasound Array.")
-    if frame is None or len(frame.positions) == 0:
-        raise TouchError("Nothing is felt at this frame, so there is no sound to paint.")
-    drive = solve_drive(array, frame.positions, frame.pressures)
-    points, pressures = frame.positions, frame.pressures
+        raise TouchError("There is no array in this scene. Add one in the Touch panel.")
+    if frame is None or frame.foci.count == 0:
+        raise TouchError("There are no focal points at this frame, so there is no sound to show.")
+    points, pressures = frame.foci.positions, frame.foci.pressures
+    drive = solve_drive(array, points, pressures)
     if frame.skin is not None and frame.wanted is not None and len(frame.skin):
         points, pressures = frame.skin, frame.wanted
     middle, axes = palm_plane(points, pressures, array.normal)
@@ -93,14 +93,14 @@ def field_picture(scene: bpy.types.Scene) -> bpy.types.Object:
 
 
 class CLAY_OT_touch_picture(bpy.types.Operator):  # noqa: N801
-    """Paint the simulated sound in the plane of the touched skin"""
+    """Show the simulated sound in the plane of the touched skin as an image"""
 
     bl_idname = "clay.touch_picture"
     bl_label = "Picture of the Field"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Paint it."""
+        """Make the image, or report why not."""
         try:
             item = field_picture(context.scene)
         except (TouchError, TouchArrayError) as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points, and the pressure that they give on the skin, drawn over the 3D view."""
+"""Overlay of the 3D Viewport: focal points, and their pressure on the skin."""
 
 from __future__ import annotations
 
@@ -14,54 +14,54 @@ from ..base.units import meters_per_unit
 from .connection import touch
 
 if TYPE_CHECKING:
+    from ...haptics import Foci
     from ...haptics.foci.pipeline import TouchFrame
 
 _SEGMENTS = 32
 _SKIN_SIZE = 6.0
-"""Size of a point of the skin [pixels]."""
-_FAINT = 0.03
-"""Skin with less of the greatest pressure is not drawn."""
+"""Size of a skin point [pixels]."""
+_MIN_PRESSURE = 0.03
+"""Minimum pressure for skin to be drawn, relative to the ceiling."""
 
 
 def focus_rings(
-    frame: TouchFrame, normal: NDArray[np.float64]
+    foci: Foci, normal: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """A ring of the size of each focal point, across the sound's direction.
+    """A ring with radius sigma around each focal point, perpendicular to the sound.
 
     Args:
-        frame: The focal points.
-        normal: Where the sound goes, shape [3].
+        foci: The focal points.
+        normal: Direction of the sound, shape [3].
 
     Returns:
-        Ends of lines in meters, shape [K, 2 S, 3], and the middle and rim of triangles, shape
-        [K, 3 S, 3].
+        Ends of lines for the rings [m], shape [K, 2 S, 3], and corners of triangles that fill them
+        [m], shape [K, 3 S, 3].
     """
     seed = np.eye(3)[np.argmin(np.abs(normal))]
     right = np.cross(seed, normal)
     right /= np.linalg.norm(right)
     up = np.cross(normal, right)
-    turn = 2.0 * np.pi * np.arange(_SEGMENTS + 1) / _SEGMENTS
-    rim = frame.sigma * (np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up)
-    points = frame.positions[:, None] + rim
+    angle = 2.0 * np.pi * np.arange(_SEGMENTS + 1) / _SEGMENTS
+    rim = foci.sigma * (np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * up)
+    points = foci.positions[:, None] + rim
     lines = np.stack((points[:, :-1], points[:, 1:]), axis=2)
-    middles = np.broadcast_to(frame.positions[:, None], points[:, 1:].shape)
+    middles = np.broadcast_to(foci.positions[:, None], points[:, 1:].shape)
     triangles = np.stack((middles, points[:, :-1], points[:, 1:]), axis=2)
-    count = len(frame.positions)
     return (
-        lines.reshape(count, -1, 3).astype(np.float32),
-        triangles.reshape(count, -1, 3).astype(np.float32),
+        lines.reshape(foci.count, -1, 3).astype(np.float32),
+        triangles.reshape(foci.count, -1, 3).astype(np.float32),
     )
 
 
 def draw_frame(
     frame: TouchFrame, normal: NDArray[np.float64], *, scale: float, ceiling: float
 ) -> None:
-    """Draw a frame with the matrices that the GPU module has at the moment.
+    """Draw a frame with the current matrices of the GPU module.
 
     Args:
-        frame: What is felt.
-        normal: Where the sound goes, shape [3].
-        scale: Meters in a Blender unit.
+        frame: The frame.
+        normal: Direction of the sound, shape [3].
+        scale: Meters per Blender unit.
         ceiling: Pressure of the brightest color [Pa].
     """
     import gpu
@@ -72,20 +72,20 @@ def draw_frame(
     gpu.state.blend_set("ALPHA")
     gpu.state.depth_test_set("LESS_EQUAL")
     if frame.skin is not None and frame.reconstructed is not None:
-        seen = frame.reconstructed > _FAINT * ceiling
-        if seen.any():
+        visible = frame.reconstructed > _MIN_PRESSURE * ceiling
+        if visible.any():
             shader = gpu.shader.from_builtin("POINT_FLAT_COLOR")
-            colors = pressure_colors(frame.reconstructed[seen], ceiling)
-            # Weak pressure fades away instead of blackening the hand.
-            colors[:, 3] = np.minimum(1.5 * frame.reconstructed[seen] / ceiling, 0.9)
-            points = (frame.skin[seen] / scale).astype(np.float32)
+            colors = pressure_colors(frame.reconstructed[visible], ceiling)
+            # Low pressure is transparent, because its dark color would blacken the hand.
+            colors[:, 3] = np.minimum(1.5 * frame.reconstructed[visible] / ceiling, 0.9)
+            points = (frame.skin[visible] / scale).astype(np.float32)
             gpu.state.point_size_set(_SKIN_SIZE)
             batch_for_shader(shader, "POINTS", {"pos": points, "color": colors}).draw(shader)
-    if len(frame.positions):
+    if frame.foci.count:
         shader = gpu.shader.from_builtin("FLAT_COLOR")
-        lines, triangles = focus_rings(frame, normal)
-        colors = pressure_colors(frame.pressures, ceiling)
-        # Over the hand, which they lie in.
+        lines, triangles = focus_rings(frame.foci, normal)
+        colors = pressure_colors(frame.foci.pressures, ceiling)
+        # Draw in front of the hand, because focal points lie on or below its surface.
         gpu.state.depth_test_set("NONE")
         gpu.state.line_width_set(2.0)
         for kind, places, alpha, white in (
@@ -128,10 +128,10 @@ _drawing = ViewDrawing(_draw)
 
 
 def register() -> None:
-    """Draw over every 3D view; in the background there is none."""
+    """Draw over every 3D Viewport; does nothing in background mode."""
     _drawing.start()
 
 
 def unregister() -> None:
-    """Draw no more."""
+    """Stop drawing."""
     _drawing.stop()

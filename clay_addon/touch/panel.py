@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The *Touch* panel: the array, its device, how touch is made, and how it goes."""
+"""The *Touch* panel: the array, its device, the status and the settings."""
 
 from __future__ import annotations
 
 import bpy
 
 from ..base.preferences import draw_text
-from .connection import missing_touch_part, touch
+from .connection import missing_touch_package, touch
 
-_ADDRESSES = {
+_DEVICE_PROPERTIES = {
     "SONICSURFACE": ("port", "firmware"),
     "ULTRAINO": ("port", "board"),
     "OPENMPD": ("board_file",),
@@ -16,11 +16,11 @@ _ADDRESSES = {
     "STRATOS_EXPLORE": ("bridge",),
     "SERVER": ("server_port",),
 }
-"""What is to be known about each kind of device."""
+"""Properties that each kind of device needs."""
 
 
 def status_lines() -> list[tuple[str, str]]:
-    """How the array is, as texts with their icons."""
+    """The status of the array, as lines of text with icons."""
     status = touch.status
     if touch.client is None:
         return []
@@ -28,7 +28,7 @@ def status_lines() -> list[tuple[str, str]]:
         return [(status.fault if status and status.fault else "Waiting for the server …", "TIME")]
     lines = []
     if not status.connected:
-        lines.append(("Not connected; it is tried again and again.", "UNLINKED"))
+        lines.append(("The device is not connected; retrying …", "UNLINKED"))
     elif status.emitting:
         latency = f", latency {status.latency * 1e3:.0f} ms" if status.latency is not None else ""
         points = "1 focal point" if status.foci == 1 else f"{status.foci} focal points"
@@ -38,18 +38,18 @@ def status_lines() -> list[tuple[str, str]]:
     else:
         lines.append(("Connected and silent.", "LINKED"))
     if status.emitting and not status.connected:
-        lines.append(("It may still sound: switch its power off.", "ERROR"))
+        lines.append(("The array may still be emitting. Switch off its power.", "ERROR"))
     if status.dropped:
-        lines.append((f"{status.dropped} frames dropped for newer ones", "NONE"))
+        lines.append((f"{status.dropped} frames replaced by newer ones", "NONE"))
     if status.outside:
-        lines.append((f"{status.outside} focal points out of the array's reach", "NONE"))
+        lines.append((f"{status.outside} focal points outside the working volume", "NONE"))
     if status.fault:
         lines.append((status.fault, "ERROR"))
     return lines
 
 
 class CLAY_PT_touch(bpy.types.Panel):  # noqa: N801
-    """Feeling the clay through an ultrasound array."""
+    """Touch of the clay through an ultrasound array."""
 
     bl_label = "Touch"
     bl_order = 5
@@ -71,9 +71,9 @@ class CLAY_PT_touch(bpy.types.Panel):  # noqa: N801
         column = layout.column()
         column.enabled = touch.client is None
         column.prop(properties, "kind")
-        for name in _ADDRESSES.get(properties.kind, ()):
+        for name in _DEVICE_PROPERTIES.get(properties.kind, ()):
             column.prop(properties, name)
-        missing = missing_touch_part(properties.kind)
+        missing = missing_touch_package(properties.kind)
         if missing:
             draw_text(layout.box(), missing, icon="ERROR")
         elif touch.client is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps about touch: ``Scene.tactile_touch`` and ``Object.tactile_touch``."""
+"""Properties of touch saved in a .blend: ``Scene.tactile_touch`` and ``Object.tactile_touch``."""
 
 import tomllib
 from pathlib import Path
@@ -10,15 +10,15 @@ from ..base.overridable import overridable
 
 _PRESETS = Path(__file__).parents[2] / "presets" / "arrays"
 
-# A .blend keeps the number, so none may be used for anything else later.
+# A .blend stores the number, so a number must never get another meaning.
 _KINDS = (
-    ("SIMULATED", "Simulated", "An array that is not there: to see what would be felt", 0),
-    ("SONICSURFACE", "SonicSurface", "On a serial port", 1),
-    ("ULTRAINO", "Ultraino", "On a serial port", 2),
-    ("OPENMPD", "OpenMPD", "On USB", 3),
-    ("AUTD3", "AUTD3", "On Ethernet", 4),
-    ("STRATOS_EXPLORE", "STRATOS Explore", "Through a bridge built against Ultraleap's SDK", 5),
-    ("SERVER", "Running Server", "Whatever `tactile-clay array-server` was started for by hand", 6),
+    ("SIMULATED", "Simulated", "A simulated array, to preview touch without hardware", 0),
+    ("SONICSURFACE", "SonicSurface", "Connected to a serial port", 1),
+    ("ULTRAINO", "Ultraino", "Connected to a serial port", 2),
+    ("OPENMPD", "OpenMPD", "Connected by USB", 3),
+    ("AUTD3", "AUTD3", "Connected by Ethernet", 4),
+    ("STRATOS_EXPLORE", "STRATOS Explore", "Through a bridge built with Ultraleap's SDK", 5),
+    ("SERVER", "Running Server", "The device of a `tactile-clay array-server` already running", 6),
 )
 
 
@@ -33,55 +33,55 @@ def _array_items() -> list[tuple[str, str, str, str, int]]:
 
 
 ARRAY_ITEMS = _array_items()
-"""The arrays that there are presets of."""
+"""Enum items of the array presets."""
 
 
 def is_array(item: bpy.types.Object) -> bool:
-    """Whether an object stands for an ultrasound array."""
+    """Whether an object represents an ultrasound array."""
     return bool(item.tactile_touch.is_array)
 
 
 @overridable
 class ClayTouchObjectProperties(bpy.types.PropertyGroup):
-    """What an object is to touch."""
+    """Touch properties of an object."""
 
     is_array: bpy.props.BoolProperty(name="Ultrasound Array", default=False)
     preset: bpy.props.EnumProperty(
-        name="Array", description="Which array stands here", items=ARRAY_ITEMS
+        name="Array", description="Model of the array at this object", items=ARRAY_ITEMS
     )
 
 
 class ClayTouchSceneProperties(bpy.types.PropertyGroup):
-    """How the clay of a scene is felt."""
+    """Touch settings of a scene."""
 
     array: bpy.props.PointerProperty(
         name="Array",
-        description="The object that stands where the array stands",
+        description="Object at the position and rotation of the real array",
         type=bpy.types.Object,
         poll=lambda self, item: is_array(item),
     )
     kind: bpy.props.EnumProperty(
         name="Device",
-        description="The ultrasound array that is plugged in",
+        description="The connected ultrasound array",
         items=[(name, label, text, "NONE", number) for name, label, text, number in _KINDS],
         default="SIMULATED",
     )
     port: bpy.props.StringProperty(
         name="Port",
-        description="Serial port, as /dev/ttyUSB0 or COM3; empty where only one is plugged in",
+        description="Serial port, such as /dev/ttyUSB0 or COM3; empty to use the only one",
     )
     board_file: bpy.props.StringProperty(
-        name="Board File", description="The board's own board_N.pat", subtype="FILE_PATH"
+        name="Board File", description="The board_N.pat file of the board", subtype="FILE_PATH"
     )
     interface: bpy.props.StringProperty(
         name="Interface", description="Network interface, or HOST:PORT of an emulator"
     )
     bridge: bpy.props.StringProperty(
-        name="Bridge", description="The bridge program, built against the SDK", subtype="FILE_PATH"
+        name="Bridge", description="The bridge program, built with the SDK", subtype="FILE_PATH"
     )
     server_port: bpy.props.IntProperty(
         name="Port",
-        description="Where the array server listens on this machine",
+        description="Port of the array server on this machine",
         default=17717,
         min=1,
         max=65535,
@@ -89,8 +89,8 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
     firmware: bpy.props.EnumProperty(
         name="Firmware",
         items=(
-            ("stock", "Stock", "Modulated by exchanges: 30 frames a second"),
-            ("tactile", "Tactile", "Modulates by itself: 88 frames a second"),
+            ("stock", "Stock", "Modulated by the host, 30 frames per second"),
+            ("tactile", "Tactile", "Modulated by the board, 88 frames per second"),
         ),
     )
     board: bpy.props.EnumProperty(
@@ -103,7 +103,7 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
     )
     gain: bpy.props.FloatProperty(
         name="Gain",
-        description="Pressure that is felt over pressure of the clay, for a light touch",
+        description="Focal pressure relative to the pressure of the clay, for a light touch",
         default=0.04,
         min=1e-4,
         soft_max=1.0,
@@ -111,7 +111,7 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
     )
     ceiling: bpy.props.FloatProperty(
         name="Ceiling (Pa)",
-        description="Pressure at a focal point that is never exceeded [Pa]",
+        description="Maximum pressure at a focal point [Pa]",
         default=1000.0,
         min=1.0,
         max=2000.0,
@@ -119,33 +119,37 @@ class ClayTouchSceneProperties(bpy.types.PropertyGroup):
     )
     use_weights: bpy.props.BoolProperty(
         name="Skin Sensitivity",
-        description="Put focal points where the skin feels best",
+        description="Prefer focal points where the skin is most sensitive",
         default=True,
     )
     focus_count: bpy.props.IntProperty(
-        name="Focal Points", description="Most focal points at a time", default=8, min=1, max=32
+        name="Focal Points",
+        description="Maximum number of focal points",
+        default=8,
+        min=1,
+        max=32,
     )
     modulation: bpy.props.EnumProperty(
         name="Modulation",
         items=(
-            ("AMPLITUDE", "200 Hz", "On and off at 200 Hz, which skin feels best"),
-            ("NONE", "Steady", "A steady pressure, for measuring: it is hardly felt"),
+            ("AMPLITUDE", "200 Hz", "On and off at 200 Hz, where skin is most sensitive"),
+            ("NONE", "Steady", "Constant pressure for measurements, barely perceptible"),
         ),
     )
     show_overlay: bpy.props.BoolProperty(
         name="Overlay",
-        description="Show focal points, and the pressure they give on the skin",
+        description="Show focal points and their pressure on the skin",
         default=True,
     )
     play_baked: bpy.props.BoolProperty(
         name="Feel the Bake",
-        description="Send the focal points that were recorded with the bake while it plays",
+        description="Send the recorded focal points during playback of the bake",
         default=True,
     )
 
 
 def device_name(properties: ClayTouchSceneProperties) -> str:
-    """The chosen device, as the array server reads it; a simulated one is of the scene's array."""
+    """Name of the chosen device for the array server; if simulated, of the scene's array."""
     kind = properties.kind
     if kind == "SIMULATED":
         preset = properties.array.tactile_touch.preset if properties.array else ""
@@ -168,7 +172,7 @@ _CLASSES = (ClayTouchObjectProperties, ClayTouchSceneProperties)
 
 
 def register() -> None:
-    """Register the property groups and hang them on objects and scenes."""
+    """Register the property groups, and add them to objects and scenes."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Object.tactile_touch = bpy.props.PointerProperty(
@@ -178,7 +182,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take the property groups away; what a .blend keeps stays in it."""
+    """Remove the property groups; values saved in .blend files remain there."""
     del bpy.types.Scene.tactile_touch
     del bpy.types.Object.tactile_touch
     for cls in reversed(_CLASSES):

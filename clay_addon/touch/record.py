@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points recorded with the bake, and felt again while it plays, without simulating.
+"""Records focal points with the bake, and sends them during playback without simulating.
 
-The cache keeps ``foci_000001.npz`` beside each frame: positions in world space and Blender units,
-as all else there, and pressures in pascals.
+The cache has a file such as ``foci_000001.npz`` for each frame. Its positions are in world space
+and Blender units, like everything else in the cache, and its pressures in pascals.
 """
 
 from __future__ import annotations
@@ -26,61 +26,65 @@ if TYPE_CHECKING:
 
 
 def record_touch(cache: Cache, number: int, frame: TouchFrame, meta: Meta, *, scale: float) -> None:
-    """Keep what was felt at a frame of the bake.
+    """Record the focal points of a frame of the bake.
 
     Args:
         cache: The bake's cache.
         number: Number of the frame.
-        frame: What was felt.
-        meta: The bake's.
-        scale: Meters in a Blender unit.
+        frame: The frame.
+        meta: The bake's metadata.
+        scale: Meters per Blender unit.
 
     Raises:
         CacheError: The folder cannot be written to.
     """
-    positions = np.asarray(frame.positions, np.float32) / np.float32(scale)
-    pressures = np.asarray(frame.pressures, np.float32)
-    write_foci(cache.directory, FociFrame(number, positions, pressures, frame.sigma), meta)
+    foci = frame.foci
+    positions = np.asarray(foci.positions, np.float32) / np.float32(scale)
+    pressures = np.asarray(foci.pressures, np.float32)
+    write_foci(cache.directory, FociFrame(number, positions, pressures, foci.sigma), meta)
 
 
 def recorded_touch(cache: Cache, number: int, *, scale: float) -> TouchFrame:
-    """What was felt at a frame of the bake.
+    """The focal points recorded at a frame of the bake.
 
     Args:
         cache: The bake's cache.
         number: Number of the frame.
-        scale: Meters in a Blender unit.
+        scale: Meters per Blender unit.
 
     Raises:
-        CacheError: Nothing was recorded there, or it is damaged.
+        CacheError: Nothing was recorded at this frame, or the file is damaged.
     """
+    from ...haptics import Foci
     from ...haptics.foci.pipeline import TouchFrame
 
-    kept = read_foci(cache.directory, number, cache.meta())
-    return TouchFrame(
-        kept.positions.astype(np.float64) * scale, kept.pressures.astype(np.float64), kept.sigma
-    )
+    recorded = read_foci(cache.directory, number, cache.meta())
+    positions = recorded.positions.astype(np.float64) * scale
+    pressures = recorded.pressures.astype(np.float64)
+    # The field that the foci were fitted to is not recorded.
+    assignment = np.zeros(0, np.intp)
+    return TouchFrame(Foci(positions, pressures, assignment, recorded.sigma))
 
 
 class TouchReplay:
-    """Whether what was recorded is felt while the bake plays."""
+    """State of the replay of recorded touch."""
 
     def __init__(self) -> None:
         self.paused = False
-        """Set while a live session or a bake feels for itself."""
+        """Set while a live session or a bake computes its own touch."""
 
 
 replay = TouchReplay()
-"""One for the process, since Blender calls its handlers without any state."""
+"""One for the process, because Blender calls its handlers without any state."""
 
 
 @persistent
-def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
-    """Feel what was recorded at the frame that is shown now."""
+def _send_frame(scene: bpy.types.Scene, *_: object) -> None:
+    """Send the focal points recorded at the current frame."""
     properties = scene.tactile_touch
     if replay.paused or not properties.play_baked or properties.array is None:
         return
-    # A render goes by in a thread of its own, and not in time.
+    # A render runs in a separate thread, and not in real time.
     if bpy.app.is_job_running("RENDER"):
         return
     if touch.client is None and not properties.show_overlay:
@@ -94,17 +98,17 @@ def _feel_frame(scene: bpy.types.Scene, *_: object) -> None:
         touch.show(None)
         return
     try:
-        touch.feel(scene, frame)
+        touch.send(scene, frame)
     except TouchArrayError:
-        # The panel says so at the next connection.
+        # The error is reported at the next connection.
         touch.show(frame)
 
 
 def register() -> None:
-    """Follow the frames."""
-    add_handlers((("frame_change_post", _feel_frame),))
+    """Follow changes of the current frame."""
+    add_handlers((("frame_change_post", _send_frame),))
 
 
 def unregister() -> None:
-    """Follow them no more."""
-    remove_handlers((("frame_change_post", _feel_frame),))
+    """Stop following them."""
+    remove_handlers((("frame_change_post", _send_frame),))

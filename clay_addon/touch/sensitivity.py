@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much touch counts on each part of a hand, as a color layer on its mesh."""
+"""Shows the sensitivity of each part of a hand as a color attribute of its mesh."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ _RAMP = np.array(
 
 def sensitivity_colors(weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Linear RGBA for perceptual weights from 0 to 1, shape [V, 4]."""
-    places = np.linspace(0.0, 1.0, len(_RAMP))
-    return np.stack([np.interp(weights, places, _RAMP[:, band]) for band in range(4)], axis=1)
+    values = np.linspace(0.0, 1.0, len(_RAMP))
+    return np.stack([np.interp(weights, values, _RAMP[:, channel]) for channel in range(4)], axis=1)
 
 
 def paint_sensitivity(context: bpy.types.Context, item: bpy.types.Object) -> None:
-    """Give a bound hand's mesh a color layer of its perceptual weights, and show it.
+    """Give the mesh of a bound hand a color attribute of its weights, and make it active.
 
     Raises:
         HandError: The hand is not bound, or has changed since.
-        ValueError: Its fingers cannot be told by the names of its bones.
+        ValueError: No finger was found by the names of the bones.
     """
     from ...haptics import SkinSensitivity
 
     weights = SkinSensitivity.of(read_hand_rig(context, item)).vertices
-    # The hand as it stands now: the same vertices as in the rig, wherever it was bound.
+    # The hand in its current pose has the same vertices as the rig, which was bound elsewhere.
     skin = skinned_hand(context, item).vertices
     tree = KDTree(len(skin))
-    for index, place in enumerate(skin):
-        tree.insert(place, index)
+    for index, vertex in enumerate(skin):
+        tree.insert(vertex, index)
     tree.balance()
     mesh = item.data
-    places = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.attributes["position"].data.foreach_get("vector", places)
-    local = places.reshape(-1, 3).astype(float)
+    positions = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.attributes["position"].data.foreach_get("vector", positions)
+    local = positions.reshape(-1, 3).astype(float)
     world = to_meters(context.scene, transform(np.array(item.matrix_world), local))
-    nearest = np.array([tree.find(place)[1] for place in world])
+    nearest = np.array([tree.find(vertex)[1] for vertex in world])
     layer = mesh.color_attributes.get(LAYER)
     if layer is not None and (layer.domain, layer.data_type) != ("POINT", "FLOAT_COLOR"):
         mesh.color_attributes.remove(layer)
@@ -65,7 +65,7 @@ def paint_sensitivity(context: bpy.types.Context, item: bpy.types.Object) -> Non
 
 
 class CLAY_OT_touch_sensitivity(bpy.types.Operator):  # noqa: N801
-    """Color the hands by how much touch counts on each part of their skin"""
+    """Color the hands by the sensitivity of their skin to touch"""
 
     bl_idname = "clay.touch_sensitivity"
     bl_label = "Show Sensitivity"
@@ -73,7 +73,7 @@ class CLAY_OT_touch_sensitivity(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is a hand."""
+        """Only if there is a hand."""
         return bool(hand_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Transducer arrays, the sound field they make, and what drives them."""
+"""Transducer arrays, their drive, and the sound field they produce."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The phases and amplitudes that a driver board has, and the nearest of them to what is wanted."""
+"""Quantizes a drive to the phases and amplitudes of a driver board."""
 
 from __future__ import annotations
 
@@ -11,33 +11,35 @@ from numpy.typing import ArrayLike, NDArray
 from .transducer_array import TransducerArray
 
 
-def realised(array: TransducerArray, drive: ArrayLike) -> NDArray[np.complex128]:
+def quantized(array: TransducerArray, drive: ArrayLike) -> NDArray[np.complex128]:
     """Nearest drive that the array can emit, shape [T].
 
     Args:
-        array: Its `phase_steps` and `amplitude_steps` count.
-        drive: Amplitude (0 to 1) and phase of each transducer, shape [T]; greater amplitudes are
+        array: Gives `phase_steps` and `amplitude_steps`.
+        drive: Amplitude (0 to 1) and phase of each transducer, shape [T]; amplitudes above 1 are
             taken as 1.
     """
     phases, amplitudes = drive_steps(array, drive)
-    size = amplitudes if array.amplitude_steps is None else _levels(array)[amplitudes.astype(int)]
-    turn = phases if array.phase_steps is None else phases * (2.0 * math.pi / array.phase_steps)
-    return np.asarray(size * np.exp(1j * turn))
+    if array.amplitude_steps is not None:
+        amplitudes = _levels(array)[amplitudes.astype(int)]
+    if array.phase_steps is not None:
+        phases = phases * (2.0 * math.pi / array.phase_steps)
+    return np.asarray(amplitudes * np.exp(1j * phases))
 
 
 def drive_steps(
     array: TransducerArray, drive: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A drive as the numbers that a driver board is told.
+    """Convert a drive to the step numbers of a driver board.
 
     Args:
-        array: Its `phase_steps` and `amplitude_steps` count.
+        array: Gives `phase_steps` and `amplitude_steps`.
         drive: Amplitude (0 to 1) and phase of each transducer, shape [T].
 
     Returns:
-        The phase by which each transducer lags, as a step 0 to phase_steps - 1, or in radians where
-        the array has no steps, shape [T]; and the step of its amplitude, 0 to amplitude_steps, or
-        the amplitude itself, shape [T].
+        The phase lag of each transducer, as a step from 0 to phase_steps - 1, or in radians if the
+        array has no phase steps, shape [T]; and its amplitude, as a step from 0 to amplitude_steps,
+        or from 0 to 1 if the array has no amplitude steps, shape [T].
     """
     wanted = np.asarray(drive, np.complex128)
     phases = np.angle(wanted) % (2.0 * math.pi)
@@ -51,7 +53,7 @@ def drive_steps(
 
 
 def _levels(array: TransducerArray) -> NDArray[np.float64]:
-    """Amplitudes of the steps from 0 to the last, shape [N + 1]."""
+    """Amplitude of each step from 0 to N, shape [N + 1]."""
     assert array.amplitude_steps is not None
-    part = np.arange(array.amplitude_steps + 1) / array.amplitude_steps
-    return part if array.amplitude_law == "linear" else np.sin(0.5 * math.pi * part)
+    fraction = np.arange(array.amplitude_steps + 1) / array.amplitude_steps
+    return fraction if array.amplitude_law == "linear" else np.sin(0.5 * math.pi * fraction)

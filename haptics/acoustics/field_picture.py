@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of an array's sound: pressure on a plane, and colors for it."""
+"""Pressure of an array's sound on a plane, and colors to show it."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ _RAMP = np.array(
         (1.00, 1.00, 0.98, 0.65),
     )
 )
-"""Value, then red, green and blue: evenly brighter, for the color-blind too."""
+"""Value, red, green, blue: brightness rises evenly, so it works for color-blind people too."""
 
 
 def palm_plane(
     points: ArrayLike, pressures: ArrayLike, away: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The plane that pressed skin lies in, as nearly as it does.
+    """Fit a plane to pressed skin.
 
     Args:
-        points: Points of the skin or focal points [m], shape [P, 3].
-        pressures: Pressure at each, its weight, shape [P].
-        away: Out of the array; taken for the normal where the points span no plane, shape [3].
+        points: Skin points or focal points [m], shape [P, 3].
+        pressures: Pressure at each, used as its weight, shape [P].
+        away: Direction out of the array, shape [3]; the normal if the points span no plane.
 
     Returns:
-        A pose: the plane's middle [m], shape [3], and its axes as columns, right, up and the normal
+        The center of the plane [m], shape [3], and its axes as columns: right, up and the normal
         that points away from the array, shape [3, 3].
     """
-    where = np.asarray(points, np.float64).reshape(-1, 3)
+    skin = np.asarray(points, np.float64).reshape(-1, 3)
     weight = np.asarray(pressures, np.float64).reshape(-1)
     normal = np.asarray(away, np.float64) / np.linalg.norm(away)
     if weight.sum() <= 0.0:
-        weight = np.ones(len(where))
-    middle = np.average(where, axis=0, weights=weight)
-    offset = (where - middle) * np.sqrt(weight / weight.sum())[:, None]
+        weight = np.ones(len(skin))
+    middle = np.average(skin, axis=0, weights=weight)
+    offset = (skin - middle) * np.sqrt(weight / weight.sum())[:, None]
     _, spread, axes = np.linalg.svd(offset, full_matrices=True)
     if len(spread) == 3 and spread[1] > 1e-3 and spread[2] < 0.5 * spread[1]:
         normal = axes[2] * np.sign(axes[2] @ normal or 1.0)
@@ -60,14 +60,14 @@ def field_on_plane(
     size: float = 0.16,
     count: int = 128,
 ) -> NDArray[np.float64]:
-    """Pressure amplitude on a square [Pa], shape [count, count], the lowest row first.
+    """Pressure amplitude on a square [Pa], shape [count, count], bottom row first.
 
     Args:
         array: The array, placed in the world.
         drive: Amplitude and phase of each transducer, shape [T].
-        middle: The square's middle [m], shape [3].
+        middle: Center of the square [m], shape [3].
         axes: Its axes as columns, right and up first, shape [3, 3].
-        size: Its edge [m].
+        size: Edge length [m].
         count: Points along an edge.
     """
     steps = ((np.arange(count) + 0.5) / count - 0.5) * size
@@ -78,12 +78,12 @@ def field_on_plane(
 
 
 def pressure_colors(pressures: ArrayLike, largest: float) -> NDArray[np.float32]:
-    """Colors from dark (none) to bright (`largest` or more), linear RGBA, shape [..., 4].
+    """Colors from dark (0) to bright (`largest` or more), linear RGBA, shape [..., 4].
 
     Args:
         pressures: Pressures, any shape.
-        largest: What is brightest, in the same unit.
+        largest: Pressure of the brightest color, in the same unit.
     """
-    part = np.clip(np.asarray(pressures, np.float64) / max(largest, 1e-30), 0.0, 1.0)
-    colors = [np.interp(part, _RAMP[:, 0], _RAMP[:, channel]) for channel in (1, 2, 3)]
-    return np.stack((*colors, np.ones_like(part)), axis=-1).astype(np.float32)
+    value = np.clip(np.asarray(pressures, np.float64) / max(largest, 1e-30), 0.0, 1.0)
+    colors = [np.interp(value, _RAMP[:, 0], _RAMP[:, channel]) for channel in (1, 2, 3)]
+    return np.stack((*colors, np.ones_like(value)), axis=-1).astype(np.float32)

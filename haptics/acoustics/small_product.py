@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Matrix products that stay on the thread that asks for them."""
+"""Matrix products that run on the calling thread."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MAX_VECTOR, _MAX_COMPLEX, _MAX_REAL = 4000, 60_000, 250_000
-"""Multiplications up to which OpenBLAS does a product of a matrix and a vector, of complex matrices
-and of real ones on one thread, as measured."""
+"""Measured numbers of multiplications up to which OpenBLAS uses a single thread, for the product of
+a matrix and a vector, of two complex matrices and of two real ones."""
 
 
 def small_product(first: NDArray[Any], second: NDArray[Any]) -> NDArray[Any]:
-    """The product of two matrices, or of a matrix and a vector, in pieces that one thread does.
+    """Product of two matrices, or of a matrix and a vector, in blocks too small for more threads.
 
-    The products of a frame are so small that threads gain nothing; but where other work keeps the
-    cores busy, a product waits some 10 ms for a thread that is not running.
+    The products of one frame are so small that threads gain nothing. When other work keeps the
+    cores busy, though, a threaded product waits about 10 ms for a thread that is not scheduled.
     """
-    matrix = _MAX_COMPLEX if np.iscomplexobj(second) else _MAX_REAL
-    most = _MAX_VECTOR if second.ndim == 1 else matrix
-    rows = max(1, most // max(1, second.size))
+    limit = _MAX_COMPLEX if np.iscomplexobj(second) else _MAX_REAL
+    if second.ndim == 1:
+        limit = _MAX_VECTOR
+    rows = max(1, limit // max(1, second.size))
     if rows >= len(first):
         return first @ second
     return np.concatenate(

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where an array's transducers are, how they sound, and how finely they can be driven."""
+"""Geometry and acoustics of a transducer array, and how finely it can be driven."""
 
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
@@ -14,65 +13,68 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...solver.core.preset_files import check_keys, preset_names, preset_path, read_tables
+
 _PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "arrays"
 
 AMPLITUDE_LAWS = ("pulse_width", "linear")
-"""How a driver board's steps are amplitudes."""
+"""How the amplitude steps of a driver board map to amplitudes."""
 
-Array = NDArray[np.float64]
+Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TransducerArray:
     """An ultrasound phased array of T circular pistons that all vibrate at one frequency.
 
-    A drive is one complex number a transducer: its magnitude, 0 to 1, is the amplitude over the
-    largest, its argument the phase by which the transducer lags, e^{-iωt} being understood. All
-    pressures are peak values, not root mean square.
+    A drive is one complex number per transducer: its magnitude, 0 to 1, is the amplitude relative
+    to full drive, its argument the phase lag (time convention e^{-iωt}). All pressures are peak
+    values, not root mean square.
 
     Example:
         >>> array = TransducerArray.preset("sonicsurface")
-        >>> array = array.placed(matrix_world)              # where the array stands
+        >>> array = array.placed(matrix_world)              # where the array is in the world
         >>> drive = solve_drive(array, foci.positions, foci.pressures)
 
     Raises:
-        ValueError: A value is not finite, lies outside its range or does not fit the others; the
-            message names it.
+        ValueError: A value is not finite, out of range or inconsistent with the others; the message
+            names it.
     """
 
-    positions: Array
-    """Centers of the transducers [m], shape [T, 3], in the order in which a drive lists them."""
-    normals: Array
-    """Unit vectors along which each of them emits, shape [T, 3]; one vector stands for all."""
+    positions: Real
+    """Centers of the transducers [m], shape [T, 3], in the order of a drive."""
+    normals: Real
+    """Unit vector of emission of each, shape [T, 3]; a single vector applies to all."""
     p0: float
-    """Peak pressure on a transducer's axis times the distance, at full drive [Pa·m]."""
+    """Peak pressure on the axis of a transducer times the distance, at full drive [Pa·m]."""
     radius: float
-    """Radius of the vibrating piston [m]; 0 for a source that emits alike in all directions."""
+    """Radius of the vibrating piston [m]; 0 for a source that emits equally in all directions."""
     frequency: float = 40e3
     """Frequency of the sound [Hz]."""
     speed_of_sound: float = 346.0
     """Speed of sound in air [m/s]; 346 at 25 °C."""
-    phase_offsets: Array = field(default_factory=lambda: np.zeros(1))
-    """Phase that each transducer adds of itself [rad], shape [T]; one value stands for all."""
+    phase_offsets: Real = field(default_factory=lambda: np.zeros(1))
+    """Phase that each transducer adds by itself [rad], shape [T]; a single value applies to all."""
     phase_steps: int | None = None
-    """Phases that the driver can tell apart in a period; any where not given."""
+    """Number of phases per period that the driver supports; None for continuous phases."""
     amplitude_steps: int | None = None
-    """Amplitudes N besides off that it can tell apart: with 1, a transducer is off or on; any
-    amplitude where not given."""
+    """Number N of amplitudes besides off that the driver supports; 1 for transducers that are only
+    on or off, None for continuous amplitudes."""
     amplitude_law: str = "pulse_width"
-    """What amplitude a step n of N is: sin(π n / 2N), as of a pulse of that part of half a period
-    ("pulse_width"), or n / N, where the board makes up for that itself ("linear")."""
-    working_volume: Array = field(
+    """Amplitude of step n of N: "pulse_width" gives sin(π n / 2N), for a pulse that lasts n / N of
+    half a period; "linear" gives n / N, for a board that compensates for the sine itself."""
+    working_volume: Real = field(
         default_factory=lambda: np.array(((-0.12, -0.12, 0.05), (0.12, 0.12, 0.45)))
     )
-    """Corners of the box, in the array's own coordinates, where foci may lie [m], shape [2, 3]."""
-    pose: Array = field(default_factory=lambda: np.eye(4))
-    """World from the array's own coordinates (origin in the middle, Z out of it), shape [4, 4]."""
+    """Lowest and highest corner of the box in which foci may lie, in the array's own coordinates
+    [m], shape [2, 3]."""
+    pose: Real = field(default_factory=lambda: np.eye(4))
+    """World from array coordinates (origin at the center, Z out of the array), shape [4, 4]."""
 
     def __post_init__(self) -> None:
         count = len(self.positions)
         if count == 0:
-            raise ValueError("TransducerArray.positions is empty; an array has a transducer.")
+            raise ValueError("TransducerArray.positions is empty; it needs at least one.")
         shapes: dict[str, tuple[int, ...]] = {
             "positions": (count, 3),
             "normals": (count, 3),
@@ -134,31 +136,31 @@ class TransducerArray:
         return 2.0 * math.pi / self.wavelength
 
     @property
-    def position(self) -> Array:
-        """Middle of the array in world coordinates [m], shape [3]."""
+    def position(self) -> Real:
+        """Center of the array in world coordinates [m], shape [3]."""
         return self.pose[:3, 3].copy()
 
     @property
-    def normal(self) -> Array:
+    def normal(self) -> Real:
         """Direction out of the array in world coordinates, shape [3]."""
         return self.pose[:3, 2].copy()
 
     def placed(self, pose: ArrayLike) -> TransducerArray:
-        """Stand the array somewhere else.
+        """A copy of the array at another pose.
 
         Args:
-            pose: World from the array's own coordinates, a rotation and a shift [m], shape [4, 4].
+            pose: World from array coordinates, a rotation and a translation [m], shape [4, 4].
 
         Raises:
-            ValueError: The matrix scales, shears, mirrors or holds values that are not finite.
+            ValueError: The matrix scales, shears, mirrors or has values that are not finite.
         """
         matrix = np.asarray(pose, np.float64)
         turn = matrix[:3, :3] if matrix.shape == (4, 4) else np.zeros((3, 3))
         rigid = np.isfinite(matrix).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-4)
         if not rigid or np.linalg.det(turn) < 0.0 or not np.allclose(matrix[3], (0, 0, 0, 1)):
             raise ValueError(
-                "An array can be moved and turned only: its pose must be a 4×4 matrix of a "
-                "rotation and a shift. Apply the object's scale first."
+                "An array can only be moved and rotated: its pose must be a 4×4 matrix of a "
+                "rotation and a translation. Apply the object's scale first."
             )
         step = matrix @ np.linalg.inv(self.pose)
         return replace(
@@ -169,15 +171,15 @@ class TransducerArray:
         )
 
     def reaches(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which points lie in the working volume, shape [P].
+        """Whether each point lies in the working volume, shape [P].
 
         Args:
-            points: World coordinates [m], shape [P, 3]; what is not finite lies outside.
+            points: World coordinates [m], shape [P, 3]; points that are not finite lie outside.
         """
         inverse = np.linalg.inv(self.pose)
-        own = np.asarray(points, np.float64).reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
+        local = np.asarray(points, np.float64).reshape(-1, 3) @ inverse[:3, :3].T + inverse[:3, 3]
         low, high = self.working_volume
-        return np.asarray(((own >= low) & (own <= high)).all(axis=1))
+        return np.asarray(((local >= low) & (local <= high)).all(axis=1))
 
     @classmethod
     def grid(
@@ -189,30 +191,32 @@ class TransducerArray:
         missing: ArrayLike = (),
         **values: Any,
     ) -> TransducerArray:
-        """Lay out a flat grid in the XY plane, centered on the origin, that emits along +Z.
+        """Make a flat grid in the XY plane, centered on the origin, that emits along +Z.
 
         Transducers are listed row by row: X grows fastest, then Y.
 
         Args:
-            columns: How many stand along X.
-            rows: How many stand along Y.
-            pitch: Distance of neighbors [m].
-            missing: Column and row of places without a transducer, shape [M, 2].
-            values: Every other field of the class.
+            columns: Number of transducers along X.
+            rows: Number of transducers along Y.
+            pitch: Distance between neighbors [m].
+            missing: Column and row of each empty place, shape [M, 2].
+            values: All other fields of the class.
 
         Raises:
-            ValueError: A count or the pitch is not greater than 0, or a place is not in the grid.
+            ValueError: A count or the pitch is not greater than 0, or an empty place is not in the
+                grid.
         """
         if columns < 1 or rows < 1 or not (math.isfinite(pitch) and pitch > 0):
             raise ValueError(
-                f"A grid of {columns} × {rows} transducers {pitch!r} m apart cannot be laid out."
+                f"A grid of {columns} × {rows} transducers with a pitch of {pitch!r} m cannot be "
+                "made: all three must be greater than 0."
             )
         gaps = np.asarray(missing, np.int64).reshape(-1, 2)
         if ((gaps < 0) | (gaps >= (columns, rows))).any():
-            raise ValueError("A place without transducer is given that is not in the grid.")
-        there = np.ones((rows, columns), bool)
-        there[gaps[:, 1], gaps[:, 0]] = False
-        row, column = np.nonzero(there)
+            raise ValueError("A missing transducer is not in the grid.")
+        present = np.ones((rows, columns), bool)
+        present[gaps[:, 1], gaps[:, 0]] = False
+        row, column = np.nonzero(present)
         positions = np.zeros((len(row), 3))
         positions[:, 0] = (column - 0.5 * (columns - 1)) * pitch
         positions[:, 1] = (row - 0.5 * (rows - 1)) * pitch
@@ -220,63 +224,53 @@ class TransducerArray:
 
     @classmethod
     def preset_names(cls) -> list[str]:
-        """Names that `preset` knows, sorted."""
-        return sorted(path.stem for path in _PRESET_FOLDER.glob("*.toml"))
+        """Names of the presets that ship with the project, sorted."""
+        return preset_names(_PRESET_FOLDER)
 
     @classmethod
     @cache
     def preset(cls, name: str) -> TransducerArray:
         """An array that ships with the project (``presets/arrays/*.toml``).
 
-        Its file is read once: arrays are asked for in each frame, and never change.
+        Each file is read only once, because live frames need the array every time.
 
         Raises:
-            ValueError: No such preset, or its file is damaged; the message says which are there.
+            ValueError: There is no such preset, or its file is damaged.
         """
-        if name not in cls.preset_names():
-            known = ", ".join(cls.preset_names())
-            raise ValueError(f"There is no array preset {name!r}. There are: {known}.")
-        return cls.from_toml(_PRESET_FOLDER / f"{name}.toml")
+        return cls.from_toml(preset_path(_PRESET_FOLDER, name, "array"))
 
     @classmethod
     def from_toml(cls, path: Path) -> TransducerArray:
         """Read an array from a TOML file.
 
-        Its ``[array]`` table holds fields of this class; the transducers' places come from a
-        ``[grid]`` table with columns, rows, pitch [m] and missing, or from positions and normals.
+        The ``[array]`` table holds fields of this class. The positions come from it too, or from a
+        ``[grid]`` table with columns, rows, pitch [m] and missing.
 
         Raises:
-            ValueError: The file is not valid TOML, a key is unknown or a value does not fit.
+            ValueError: The file is not valid TOML, a key is unknown or a value is invalid.
             OSError: The file cannot be read.
         """
+        tables = read_tables(path, "array")
+        values, grid = tables["array"], tables.get("grid")
+        given_by_grid = {"positions", "normals"} if grid is not None else set()
+        known = {entry.name for entry in fields(cls)} - given_by_grid - {"pose"}
+        _check_table(path, values, known)
+        if grid is not None:
+            if not isinstance(grid, dict):
+                raise ValueError(f"{path.name}: grid is {grid!r}; it must be a table.")
+            _check_table(path, grid, {"columns", "rows", "pitch", "missing"})
         try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path.name} is not a valid TOML file: {error}.") from error
-        values, grid = tables.get("array"), tables.get("grid")
-        if not isinstance(values, dict):
-            raise ValueError(f"{path.name} has no [array] table.")
-        placed = {"positions", "normals", "pose"}
-        known = {entry.name for entry in fields(cls)} - (placed if grid else {"pose"})
-        _check_keys(path, values, known)
-        try:
-            if grid is None:
-                return cls(**values)
-            _check_keys(path, grid, {"columns", "rows", "pitch", "missing"})
-            return cls.grid(**grid, **values)
+            return cls(**values) if grid is None else cls.grid(**grid, **values)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path.name}: {error}") from error
 
 
-def _check_keys(path: Path, table: Mapping[str, object], known: set[str]) -> None:
+def _check_table(path: Path, table: Mapping[str, object], known: set[str]) -> None:
+    check_keys(path, table, known)
     for key, value in table.items():
-        if key not in known:
-            raise ValueError(
-                f"{path.name}: unknown key {key!r}. Known keys: {', '.join(sorted(known))}."
-            )
         if isinstance(value, bool) or (isinstance(value, str) and key != "amplitude_law"):
             raise ValueError(f"{path.name}: {key} is {value!r}; it must be a number.")
 
 
-def _unit(vectors: Array) -> Array:
+def _unit(vectors: Real) -> Real:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

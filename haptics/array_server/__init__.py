@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From focal points to an array that is always safe: a process of its own, and its client."""
+"""A separate process that drives an array safely with focal points, and its client."""
 
 from ..protocol.datagram import Modulation
 from .client import DEFAULT_PORT, ArrayClient, ArrayServerError, ArrayStatus

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The other end of the array server: what a simulation sends its focal points with."""
+"""Client of the array server, with which a simulation sends its focal points."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from .launch import start_process
 from .limits import Limits
 
 DEFAULT_PORT = 17717
-"""Port of a server that was started by hand."""
+"""Default port of a server started from the command line."""
 _clock = time.monotonic
 _START_TIMEOUT = 20.0
 _STOP_TIMEOUT = 3.0
-_HEARD_WITHIN = 0.5
-"""A server that has sent no status for this long counts as lost [s]; it sends ten a second."""
+_LOST_AFTER = 0.5
+"""A server that has sent no status for this long counts as lost [s]; it sends ten per second."""
 
 
 class ArrayServerError(TactileClayError):
@@ -46,7 +46,7 @@ class ArrayServerError(TactileClayError):
 
 
 class FocalPoints(Protocol):
-    """Anything with focal points, such as the `Foci` that `focus` gives."""
+    """Any object with focal points, such as the `Foci` returned by `focus`."""
 
     @property
     def positions(self) -> NDArray[np.floating]:
@@ -59,43 +59,43 @@ class FocalPoints(Protocol):
 
 @dataclass(frozen=True)
 class ArrayStatus:
-    """What an array server last said about itself."""
+    """The latest status that an array server has sent."""
 
     heard: bool = False
-    """Whether it has said so within the last half second; otherwise the rest is out of date."""
+    """Whether it arrived within the last half second; otherwise the rest is out of date."""
     device: str = ""
-    """Name of its device."""
+    """Name of the server's device."""
     connected: bool = False
-    """Whether the device is there and takes what it is sent."""
+    """Whether the device is connected and accepts data."""
     emitting: bool = False
-    """Whether there is sound; while not connected, whether there may still be."""
+    """Whether there is sound; while not connected, whether there may still be sound."""
     foci: int = 0
-    """Focal points that sound."""
+    """Number of focal points being emitted."""
     frames_per_second: int = 0
-    """Frames that the device got within the last second."""
+    """Number of frames sent to the device within the last second."""
     latency: float | None = None
     """Median time from sending focal points to their last byte leaving for the device [s]."""
     latency_p99: float | None = None
-    """99th percentile of it [s]."""
+    """99th percentile of the latency [s]."""
     losses: int = 0
-    """How often the device was lost so far."""
+    """Number of times that the connection to the device was lost."""
     dropped: int = 0
-    """Focal points that newer ones replaced before the device was free, in datagrams."""
+    """Number of datagrams replaced by newer ones before the device was ready."""
     refused: dict[str, int] = field(default_factory=dict)
-    """Datagrams that were not let through, by reason."""
+    """Number of rejected datagrams for each reason."""
     outside: int = 0
-    """Focal points left out because they lay outside the array's working volume."""
+    """Number of focal points left out because they were outside the array's working volume."""
     on_time_left: float = 0.0
-    """Sound that is left before a pause [s]."""
+    """Time of sound left before a pause [s]."""
     fault: str = ""
-    """What is wrong, for people; empty if nothing is."""
+    """Current problem as a sentence for the user; empty if there is none."""
 
 
 class ArrayClient:
     """Sends focal points to an array server on this machine.
 
-    The server makes the array silent when it has got nothing for 150 ms: send every frame, also
-    when nothing has changed. No method waits for the server but those that say so.
+    The server silences the array if it receives nothing for 150 ms, so send every frame even if
+    nothing has changed. Only methods that say so wait for the server.
 
     Example:
         >>> with ArrayClient.start("simulated") as out:
@@ -103,21 +103,21 @@ class ArrayClient:
         ...     print(out.status().frames_per_second)
 
     Args:
-        port: Where the server listens on 127.0.0.1.
-        session: The number it goes by; 0 for a server that was started by hand.
-        pose: World from the array's own coordinates, shape [4, 4]; focal points are sent in world
-            coordinates. The identity where not given.
+        port: The server's port on 127.0.0.1.
+        session: The server's session number; 0 for a server started from the command line.
+        pose: World from array coordinates, shape [4, 4], to convert focal points from world
+            coordinates; the identity if None.
     """
 
     def __init__(self, port: int, *, session: int = 0, pose: ArrayLike | None = None) -> None:
         self.port = port
         self.session = session
         self.process: subprocess.Popen[bytes] | None = None
-        """The server's process, if `start` started it."""
+        """The server's process if `start` started it, else None."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
-        # Later clients of one server go on counting where earlier ones have not been yet.
+        # The sequence numbers of later clients of the same server must be higher.
         self._sequence = time.monotonic_ns()
         self._status = ArrayStatus()
         self._heard_at = -1e9
@@ -128,34 +128,34 @@ class ArrayClient:
     def start(
         cls, device: str, *, pose: ArrayLike | None = None, limits: Limits | None = None
     ) -> Self:
-        """Start a server in a process of its own, which ends with this one, and connect to it.
+        """Start a server in a separate process that ends with this one, and connect to it.
 
-        Waits until it runs: a second or so. That its device is connected, `status` tells later.
+        Waits about a second until the server runs. The device may connect later; see `status`.
 
         Args:
-            device: As ``simulated``, ``sonicsurface:/dev/ttyUSB0``; see `DeviceName`.
+            device: For example ``simulated`` or ``sonicsurface:/dev/ttyUSB0``; see `DeviceName`.
             pose: See the class.
-            limits: Caps that are lower than usual.
+            limits: Lower caps than the default.
 
         Raises:
-            ArrayServerError: It does not start; the message is what it says.
+            ArrayServerError: The server does not start; the message quotes what it printed.
         """
-        words = [device, "--for-client"]
+        arguments = [device, "--for-client"]
         if limits is not None:
-            words += ["--amplitude-cap", str(limits.amplitude)]
-            words += ["--pressure-cap", str(limits.pressure), "--on-time", str(limits.on_time)]
+            arguments += ["--amplitude-cap", str(limits.amplitude)]
+            arguments += ["--pressure-cap", str(limits.pressure), "--on-time", str(limits.on_time)]
         try:
-            process = start_process("server", words, stdout=subprocess.PIPE)
+            process = start_process("server", arguments, stdout=subprocess.PIPE)
         except OSError as error:
             raise ArrayServerError(f"The array server cannot be started ({error}).") from error
         line = _first_line(process)
         try:
-            said = json.loads(line)
-            client = cls(said["port"], session=said["session"], pose=pose)
+            server = json.loads(line)
+            client = cls(server["port"], session=server["session"], pose=pose)
         except (ValueError, KeyError, TypeError) as error:
             process.kill()
             process.wait()
-            reason = line.decode(errors="replace").strip() or "it said nothing"
+            reason = line.decode(errors="replace").strip() or "it printed nothing"
             raise ArrayServerError(f"The array server did not start: {reason}") from error
         client.process = process
         client.hello()
@@ -173,23 +173,24 @@ class ArrayClient:
         self.close()
 
     def set_pose(self, pose: ArrayLike) -> None:
-        """Say where the array stands.
+        """Set the pose of the array.
 
         Args:
-            pose: World from the array's own coordinates: a rotation and a shift [m], shape [4, 4].
+            pose: World from array coordinates, a rotation and a translation [m], shape [4, 4].
 
         Raises:
-            ValueError: It is not that.
+            ValueError: The matrix is not such a pose.
         """
         matrix = np.array(pose, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-            raise ValueError("The pose of an array is a finite matrix of shape (4, 4).")
-        turn = matrix[:3, :3]
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0.0:
+            raise ValueError("The pose of an array must be a finite matrix of shape (4, 4).")
+        rotation = matrix[:3, :3]
+        orthogonal = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4)
+        if not orthogonal or np.linalg.det(rotation) < 0.0:
             raise ValueError(
-                "An array can be moved and turned only: its pose must not scale, shear or mirror."
+                "An array can only be moved and rotated: its pose must not scale, shear or mirror."
             )
-        self._turn, self._shift = turn, matrix[:3, 3]
+        self._rotation, self._translation = rotation, matrix[:3, 3]
 
     def send(
         self,
@@ -198,19 +199,19 @@ class ArrayClient:
         modulation: Modulation = Modulation.AMPLITUDE,
         time: float | None = None,
     ) -> None:
-        """Send focal points; none of them, or pressures of 0, mean silence.
+        """Send focal points; no focal points, or only pressures of 0, mean silence.
 
         Args:
-            foci: Anything with positions in world coordinates [m], shape [K, 3], and pressures
-                [Pa], shape [K]; those that are not finite are left out, and of too many the
-                strongest stay.
-            modulation: How to make them felt.
-            time: When the contact forces were taken, by `time.monotonic` [s]; now if not given.
+            foci: Any object with positions in world coordinates [m], shape [K, 3], and pressures
+                [Pa], shape [K]. Values that are not finite are left out; if there are too many
+                focal points, the strongest are sent.
+            modulation: How to modulate the sound.
+            time: When the contact forces were computed, by `time.monotonic` [s]; None for now.
         """
         positions = np.asarray(foci.positions, np.float64).reshape(-1, 3)
         pressures = np.asarray(foci.pressures, np.float64).reshape(-1)
-        good = np.isfinite(positions).all(axis=1) & np.isfinite(pressures) & (pressures > 0.0)
-        positions, pressures = positions[good], pressures[good]
+        valid = np.isfinite(positions).all(axis=1) & np.isfinite(pressures) & (pressures > 0.0)
+        positions, pressures = positions[valid], pressures[valid]
         if len(pressures) > MAX_FOCI:
             strongest = np.argsort(-pressures)[:MAX_FOCI]
             positions, pressures = positions[strongest], pressures[strongest]
@@ -218,26 +219,26 @@ class ArrayClient:
             Kind.FOCI,
             time=time,
             modulation=modulation,
-            positions=(positions - self._shift) @ self._turn,
+            positions=(positions - self._translation) @ self._rotation,
             pressures=pressures,
         )
 
     def silence(self) -> None:
-        """Be silent now."""
+        """Silence the array now."""
         self._send(Kind.FOCI)
 
     def hello(self) -> None:
-        """Ask for a status, without focal points."""
+        """Request a status without sending focal points."""
         self._send(Kind.HELLO)
 
     def status(self, *, wait: float = 0.0) -> ArrayStatus:
-        """What the server last said.
+        """The server's latest status.
 
         Args:
-            wait: Wait up to this long [s] for a status that is newer than the last.
+            wait: Wait up to this long for a status newer than the previous one [s].
         """
         self._read(wait, Kind.STATUS)
-        heard = time.monotonic() - self._heard_at < _HEARD_WITHIN
+        heard = time.monotonic() - self._heard_at < _LOST_AFTER
         ended = self.process is not None and self.process.poll() is not None
         table = {entry.name: getattr(self._status, entry.name) for entry in fields(ArrayStatus)}
         table["heard"] = heard and not ended
@@ -247,18 +248,18 @@ class ArrayClient:
         return ArrayStatus(**table)
 
     def drive(self, *, wait: float = 2.0) -> NDArray[np.complex128]:
-        """The drive that the device holds, after caps and quantization, shape [T].
+        """The device's current drive, after caps and quantization, shape [T].
 
         Args:
             wait: Wait up to this long for the answer [s].
 
         Raises:
-            ArrayServerError: There was none.
+            ArrayServerError: The server did not answer.
         """
         self._drive = None
         end = time.monotonic() + wait
         while self._drive is None:
-            # A question that is old when the server reads it is not answered either.
+            # Ask repeatedly, because the server ignores requests that are old when it reads them.
             self._send(Kind.ASK_DRIVE)
             self._read(min(0.25, wait), Kind.DRIVE)
             if self._drive is None and time.monotonic() >= end:
@@ -266,19 +267,19 @@ class ArrayClient:
         return self._drive
 
     def close(self) -> None:
-        """Silence the array; a server that this client started ends, and is waited for."""
+        """Silence the array; if this client started the server, stop it and wait for its end."""
         process = self.process
         with contextlib.suppress(OSError):
             self._send(Kind.FOCI if process is None else Kind.STOP)
         if process is not None:
-            # The end of its standard input would do as well, if the datagram were lost.
+            # If the datagram is lost, the end of its standard input stops the server.
             if process.stdin is not None:
                 with contextlib.suppress(OSError):
                     process.stdin.close()
             try:
                 process.wait(_STOP_TIMEOUT)
             except subprocess.TimeoutExpired:
-                # Its guard silences the array then.
+                # The guard then silences the array.
                 process.kill()
                 process.wait()
             if process.stdout is not None:
@@ -294,21 +295,22 @@ class ArrayClient:
             time=_clock() if time is None else time,
             **values,
         )
-        # Nobody listens, or the system is out of buffers: status says so.
+        # If nobody listens or the system is out of buffers, `status` shows it.
         with contextlib.suppress(BlockingIOError, ConnectionError):
             self._socket.sendto(data, ("127.0.0.1", self.port))
 
     def _read(self, wait: float, until: Kind) -> None:
+        """Read all datagrams that have arrived, and wait for one of a kind if there is none."""
         end = time.monotonic() + wait
         found = False
         while True:
             try:
                 data, address = self._socket.recvfrom(MAX_SIZE)
             except (BlockingIOError, ConnectionError):
-                left = end - time.monotonic()
-                if found or left <= 0.0:
+                remaining = end - time.monotonic()
+                if found or remaining <= 0.0:
                     return
-                select.select([self._socket], [], [], left)
+                select.select([self._socket], [], [], remaining)
                 continue
             if address != ("127.0.0.1", self.port):
                 continue
@@ -322,14 +324,14 @@ class ArrayClient:
         table = datagram.table or {}
         if datagram.kind is Kind.STATUS:
             self._status = ArrayStatus(heard=True, **table)
-            # It may have waited here for long.
+            # The datagram may have waited in the socket's buffer for long.
             self._heard_at = datagram.time
         elif datagram.kind is Kind.DRIVE:
             self._drive = np.array(table["real"]) + 1j * np.array(table["imaginary"])
 
 
 def _first_line(process: subprocess.Popen[bytes]) -> bytes:
-    """The first line that a process writes, or nothing if it takes too long."""
+    """The first line that a process prints; empty if it takes too long."""
     assert process.stdout is not None
     stream = process.stdout
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()

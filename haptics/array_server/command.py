@@ -23,63 +23,64 @@ _EXIT_DONE, _EXIT_FAILED, _EXIT_USAGE = 0, 1, 2
 
 _DEVICES = """\
 devices:
-  simulated[:PRESET]            an array that is not there
+  simulated[:PRESET]            a simulated array
   sonicsurface[:PORT]           options: firmware=stock|tactile, boards=1|2
   ultraino[:PORT]               options: board=mega|fpga|fpga128, boards=N, array=NAME|FILE.toml
-  openmpd:BOARD.pat             the board's file, as its driver has it
+  openmpd:BOARD.pat             the board file of its driver
   autd3[:ADDRESS]               an Ethernet interface, or HOST:PORT of its emulator
   stratos_explore:BRIDGE        the bridge program, built against your SDK; option: full=PA
 options follow the address after commas: sonicsurface:/dev/ttyUSB0,firmware=tactile
 
-Sound is off unless focal points come in that are fresh (150 ms), inside the array's working volume
-and within the caps, which can only be lowered. Only programs on this machine can reach the server.
+There is sound only while focal points arrive that are recent (150 ms) and inside the array's
+working volume. Caps limit them, and can only be lowered. Only programs on this machine can reach
+the server.
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the command takes to a parser."""
+    """Add the command's arguments to a parser."""
     limits = Limits()
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(filter(None, (_DEVICES, parser.epilog)))
     parser.add_argument("device", metavar="DEVICE", nargs="?", help="the array, see below")
-    parser.add_argument("--list", action="store_true", help="list what is plugged in, and end")
+    parser.add_argument("--list", action="store_true", help="list connected devices and exit")
     parser.add_argument(
         "--port",
         type=int,
         default=DEFAULT_PORT,
         metavar="N",
-        help=f"port on 127.0.0.1 to listen on (default: {DEFAULT_PORT}; 0 for any)",
+        help=f"port on 127.0.0.1 to listen on (default: {DEFAULT_PORT}; 0 for any free port)",
     )
     parser.add_argument(
         "--amplitude-cap",
         type=float,
         default=limits.amplitude,
         metavar="A",
-        help="highest drive of a transducer, 0 to 1 (default: %(default)g)",
+        help="maximum drive amplitude, 0 to 1 (default: %(default)g)",
     )
     parser.add_argument(
         "--pressure-cap",
         type=float,
         default=limits.pressure,
         metavar="PA",
-        help="highest pressure at a focal point [Pa] (default and most: %(default)g)",
+        help="maximum pressure at a focal point [Pa] (default and upper limit: %(default)g)",
     )
     parser.add_argument(
         "--on-time",
         type=float,
         default=limits.on_time,
         metavar="S",
-        help="longest sound without a pause [s] (default and most: %(default)g)",
+        help="maximum time of sound without a pause [s] (default and upper limit: %(default)g)",
     )
     parser.add_argument(
         "--for-client",
         action="store_true",
-        help="listen to the program that started this alone, and end with it",
+        help="listen only to the program that started this, and end with it",
     )
 
 
 def list_devices() -> tuple[list[FoundDevice], list[str]]:
-    """What is plugged in, and why some kinds could not be looked for."""
+    """Connected devices, and problems that prevented the search for some kinds."""
     found, problems = [], []
     for kind in DEVICE_KINDS:
         module = importlib.import_module(f"..devices.{kind}", __package__)
@@ -92,23 +93,27 @@ def list_devices() -> tuple[list[FoundDevice], list[str]]:
 
 
 def carry_out(arguments: argparse.Namespace) -> int:
-    """Do what parsed arguments ask for.
+    """Run the command with parsed arguments.
 
     Returns:
-        The exit code: 0 done, 1 failed, 2 usage.
+        The exit code: 0 success, 1 failure, 2 wrong usage.
     """
     if arguments.list:
         found, problems = list_devices()
-        for plugged in found:
-            print(f"{plugged.name:<40}  {plugged.description}")
+        for device in found:
+            print(f"{device.name:<40}  {device.description}")
         for problem in problems:
             print(f"array-server: {problem}", file=sys.stderr)
         if not found:
-            print("Nothing that could be an array is plugged in.", file=sys.stderr)
+            print("No device that could be an array is connected.", file=sys.stderr)
         return _EXIT_DONE
     if not arguments.device:
-        print("array-server: name a device, or --list", file=sys.stderr)
+        print("array-server: give a device or --list", file=sys.stderr)
         return _EXIT_USAGE
+    return _serve(arguments)
+
+
+def _serve(arguments: argparse.Namespace) -> int:
     try:
         limits = Limits(arguments.amplitude_cap, arguments.pressure_cap, arguments.on_time)
         device = make_device(arguments.device)
@@ -129,8 +134,8 @@ def carry_out(arguments: argparse.Namespace) -> int:
         if guard is not None:
             guard.end(silent=True)
         return _fail(
-            f"port {arguments.port} cannot be listened on ({error.strerror}). Another array server "
-            "may be running; --port chooses another port",
+            f"cannot listen on port {arguments.port} ({error.strerror}). Another array server may "
+            "be running; choose another port with --port",
             arguments,
             _EXIT_FAILED,
         )
@@ -144,7 +149,7 @@ def carry_out(arguments: argparse.Namespace) -> int:
     if server.emitting:
         print(
             f"array-server: {arguments.device} could not be silenced ({server.fault}) and may "
-            "still sound. Switch its power off.",
+            "still be emitting. Switch off its power.",
             file=sys.stderr,
         )
         return _EXIT_FAILED
@@ -152,7 +157,7 @@ def carry_out(arguments: argparse.Namespace) -> int:
 
 
 def _fail(message: str, arguments: argparse.Namespace, code: int) -> int:
-    # A client that starts a server reads its first line.
+    # A client that starts a server reads the first line of its output.
     print(f"array-server: {message}", file=sys.stdout if arguments.for_client else sys.stderr)
     return code
 
@@ -176,7 +181,7 @@ def _end_with_standard_input(server: ArrayServer) -> None:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the command; the words are those after its name."""
+    """Run the command with the arguments that follow its name; return the exit code."""
     parser = argparse.ArgumentParser(
         prog="array-server", description="Drive an ultrasound array with focal points."
     )

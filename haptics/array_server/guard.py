@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A second process that silences an array whose server was killed or hangs.
 
-Most open arrays have no watchdog: the last pattern sounds for ever. The server cannot silence them
-after a SIGKILL, so a guard waits beside it, in a session of its own. It does nothing until the
-server ends without saying so, or says for a second that there is sound and then nothing more. Then
-it kills what hangs, opens the device itself, which makes it silent, and ends.
+Most open arrays have no watchdog and emit the last pattern forever. The server cannot silence them
+after a SIGKILL, so a guard process runs next to it in its own process session. It does nothing
+until the server ends without notice, or sends no sign of life for a second while there is sound. It
+then kills a hanging server, silences the device by opening it, and exits.
 
-What this does not cover: both processes killed at once, the machine losing its power while the
-array keeps its own.
+This does not cover both processes being killed at once, or the computer losing power while the
+array keeps it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from ..devices import Device, DeviceError, make_device
 from .launch import start_process
 
 _HANGS_AFTER = 1.0
-"""A server that has sound on and is not heard of for this long hangs [s]."""
-_TRIES_FOR = 10.0
+"""A server without a sign of life for this long while there is sound counts as hanging [s]."""
+_RETRY_TIME = 10.0
 """How long the guard tries to reach the device [s]: an adapter may be plugged in again."""
 _SOUND, _SILENCE, _END = b"E", b"S", b"Q"
 
 
 class Guard:
-    """The server's end of it.
+    """The server's side of the guard: starts the process and sends it signs of life.
 
     Args:
         device: Name of the device to guard.
@@ -45,8 +45,8 @@ class Guard:
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        words = [self._device, str(os.getpid())]
-        process = start_process("guard", words, stdout=subprocess.PIPE)
+        arguments = [self._device, str(os.getpid())]
+        process = start_process("guard", arguments, stdout=subprocess.PIPE)
         ready = self._ready = threading.Event()
 
         def wait_until_ready() -> None:
@@ -64,17 +64,17 @@ class Guard:
 
     @property
     def ready(self) -> bool:
-        """Whether it is on guard, which takes it a moment: there should be no sound before."""
+        """Whether the guard is running. It takes a moment to start; allow no sound before."""
         return self._ready.is_set() and self._process.poll() is None
 
     def beat(self, *, emitting: bool) -> None:
-        """Say that all is well; call it at least every 0.3 s. A guard that has gone is replaced."""
+        """Send a sign of life, at least every 0.3 s; restarts a guard that has ended."""
         if self._process.poll() is not None:
             self._process = self._start()
         self._write(_SOUND if emitting else _SILENCE)
 
     def end(self, *, silent: bool) -> None:
-        """Let it end; with sound left, it does its work first."""
+        """End the guard; if the array is not silent, the guard silences it first."""
         if silent:
             self._write(_END)
         with contextlib.suppress(OSError):
@@ -85,21 +85,21 @@ class Guard:
                 self._process.wait(2.0)
 
     def _write(self, byte: bytes) -> None:
-        # One that has just gone is replaced at the next beat.
+        # A guard that has just ended is replaced at the next beat.
         with contextlib.suppress(OSError):
             if self._process.stdin is not None:
                 self._process.stdin.write(byte)
 
 
 def wait_for_trouble(stream: BinaryIO, hangs_after: float = _HANGS_AFTER) -> str:
-    """Listen to the server.
+    """Listen to the server until it ends or hangs.
 
     Args:
-        stream: What it writes.
-        hangs_after: With sound on, a pause longer than this [s] is trouble.
+        stream: The server's signs of life.
+        hangs_after: Maximum time between them while there is sound [s].
 
     Returns:
-        ``ended`` if it ended as it should, ``gone`` if it did not, ``hangs`` if it is not heard of.
+        ``ended`` after a normal end, ``gone`` after any other end, ``hangs`` if it hangs.
     """
     heard: queue.SimpleQueue[bytes] = queue.SimpleQueue()
 
@@ -122,13 +122,13 @@ def wait_for_trouble(stream: BinaryIO, hangs_after: float = _HANGS_AFTER) -> str
         last = byte
 
 
-def silence(device: Device, *, tries_for: float = _TRIES_FOR) -> bool:
-    """Open a device and close it, which makes it silent, again and again until that has worked.
+def silence(device: Device, *, retry_time: float = _RETRY_TIME) -> bool:
+    """Silence a device by opening and closing it, with retries.
 
     Returns:
-        Whether it has.
+        Whether it succeeded.
     """
-    end = time.monotonic() + tries_for
+    end = time.monotonic() + retry_time
     while True:
         try:
             device.open(time.monotonic())
@@ -142,12 +142,12 @@ def silence(device: Device, *, tries_for: float = _TRIES_FOR) -> bool:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Guard the server that started this process; the words are the device and its process id."""
+    """Guard the server that started this process; arguments are the device and its process ID."""
     name, parent = argv[0], int(argv[1])
-    for word in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, word):
-            signal.signal(getattr(signal, word), signal.SIG_IGN)
-    # Whatever must be imported is imported now, while there is time.
+    for signal_name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, signal_name):
+            signal.signal(getattr(signal, signal_name), signal.SIG_IGN)
+    # This imports everything needed now, while there is time.
     device = make_device(name)
     sys.stdout.write("R")
     sys.stdout.close()
@@ -158,10 +158,10 @@ def main(argv: Sequence[str]) -> int:
         with contextlib.suppress(OSError):
             os.kill(parent, getattr(signal, "SIGKILL", signal.SIGTERM))
     if silence(device):
-        print(f"array-server: its guard has silenced {name}", file=sys.stderr)
+        print(f"array-server: the guard has silenced {name}", file=sys.stderr)
         return 0
     print(
-        f"array-server: {name} cannot be reached and may still sound. Switch its power off.",
+        f"array-server: {name} cannot be reached and may still be emitting. Switch off its power.",
         file=sys.stderr,
     )
     return 1

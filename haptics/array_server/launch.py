@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starts the array server or its guard in a process of its own, wherever this package lies.
+"""Starts the array server or its guard in a separate process, wherever the package is installed.
 
-Run as a script: inside Blender the package has another name than in a Python environment, and a
-process started from there knows neither. So it is loaded from its folder under the usual name.
+The new process runs this file as a script. It cannot import the package by name, because the name
+differs between Blender and a Python environment, so it loads it from its folder as `tactile_clay`.
 """
 
 from __future__ import annotations
@@ -21,30 +21,29 @@ _PARTS = {"server": "command", "guard": "guard"}
 
 
 def start_process(
-    part: str, words: Sequence[str], *, stdout: IO[Any] | int | None = None
+    part: str, arguments: Sequence[str], *, stdout: IO[Any] | int | None = None
 ) -> subprocess.Popen[bytes]:
-    """Start a part in a new process whose standard input is a pipe from here.
+    """Start a part in a new process whose standard input is a pipe from this one.
 
-    The pipe ends when this process does, however it ends, and that tells the new one.
+    The pipe closes when this process ends in any way, which tells the new process to end.
 
     Args:
         part: ``server`` or ``guard``.
-        words: Its command line.
+        arguments: Its command-line arguments.
         stdout: Where its standard output goes.
 
     Raises:
         OSError: The process cannot be started.
     """
-    # Blender keeps numpy and what the extension brings along where only its own Python looks.
+    # Only Blender's own Python finds numpy and the packages bundled with the extension.
     path = os.pathsep.join(entry for entry in sys.path if entry)
     return subprocess.Popen(
-        [sys.executable, "-P", str(Path(__file__).resolve()), part, *words],
+        [sys.executable, "-P", str(Path(__file__).resolve()), part, *arguments],
         stdin=subprocess.PIPE,
         stdout=stdout,
         bufsize=0,
         env=os.environ | {"PYTHONPATH": path},
-        # A Ctrl-C in the terminal is for the one that was started there, which then tells the
-        # others.
+        # A Ctrl-C in the terminal must reach only the program started there, which ends this one.
         start_new_session=True,
     )
 

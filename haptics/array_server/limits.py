@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What no message can lift: which focal points are let through, how loud and for how long.
+"""Safety limits that no message can lift: which focal points are admitted, how strong, how long.
 
 Guidelines on airborne ultrasound (75 dB below 20 kHz, 110 dB at 25 to 50 kHz) lack a solid basis,
-and commercial devices were measured above them (10.24425/aoa.2024.148795). So pressure, drive and
-time are capped whatever is asked for. These caps are engineering choices, not a medical clearance.
+and commercial devices were measured above them (10.24425/aoa.2024.148795). Pressure, drive and time
+are therefore always capped. The caps are engineering choices, not a medical clearance.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +19,25 @@ from ..acoustics.transducer_array import TransducerArray
 from ..protocol.datagram import Datagram, DatagramError, Kind, decode
 
 STALE_AFTER = 0.150
-"""Sound goes off when the newest focal points are older than this [s]."""
+"""The array is silenced when the newest focal points are older than this [s]."""
 _CLOCK_SLACK = 0.005
-"""A datagram may seem to come from the future by no more than this [s]."""
+"""Maximum time that a datagram may be ahead of the clock [s]."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Caps that a server is started with; a person may only lower them.
+    """Caps of a server; they can only be lower than the defaults.
 
     Raises:
-        ValueError: A value is out of the range that its line below gives.
+        ValueError: A value is out of the range given below.
     """
 
     amplitude: float = 1.0
-    """Highest drive of a transducer, relative to the device's full drive, above 0 and up to 1."""
+    """Maximum drive of a transducer relative to full drive, above 0 and up to 1."""
     pressure: float = 2000.0
-    """Highest pressure amplitude at a focal point [Pa], above 0 and up to 2,000."""
+    """Maximum pressure amplitude at a focal point [Pa], above 0 and up to 2,000."""
     on_time: float = 120.0
-    """Sound without a pause lasts no longer than this [s], above 0 and up to 120: see `OnTime`."""
+    """Maximum time of sound without a pause [s], above 0 and up to 120; see `OnTime`."""
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -51,18 +51,17 @@ class Limits:
 
 
 class RefusedError(TactileClayError):
-    """A datagram is not let through; the message says why."""
+    """A datagram is rejected; the message says why."""
 
 
 class Gate:
-    """Lets datagrams through that are whole, in order, fresh and of this session, and caps them.
+    """Admits datagrams that are valid, in order, recent and of this session, and caps them.
 
     Args:
-        array: In its own coordinates; focal points must lie in its working volume.
+        array: The array in its own coordinates; focal points must lie in its working volume.
         limits: The caps.
-        session: Number of the session that is listened to.
-        maximum_foci: Most focal points that the device takes; of more the strongest are let
-        through.
+        session: Number of the session to accept.
+        maximum_foci: Maximum number of focal points of the device; the strongest are kept.
     """
 
     def __init__(
@@ -73,30 +72,30 @@ class Gate:
         self.session = session
         self.maximum_foci = maximum_foci
         self.outside = 0
-        """Focal points left out so far because they lay outside the volume."""
+        """Number of focal points left out so far because they were outside the working volume."""
         self._sequence = -1
 
     def admit(self, data: bytes, now: float) -> Datagram:
-        """Let a datagram through, or refuse it.
+        """Admit or reject a datagram.
 
         Args:
-            data: What came.
+            data: The bytes received.
             now: The monotonic clock [s].
 
         Returns:
-            The datagram, with no focal point outside the volume or above the cap.
+            The datagram without focal points outside the working volume, with pressures capped.
 
         Raises:
-            RefusedError: It is not let through.
+            RefusedError: The datagram is rejected.
         """
         try:
             datagram = decode(data)
         except DatagramError as error:
             raise RefusedError(str(error)) from error
         if datagram.session != self.session:
-            raise RefusedError("of another session")
+            raise RefusedError("wrong session")
         if datagram.kind in (Kind.STATUS, Kind.DRIVE):
-            raise RefusedError("that is for clients")
+            raise RefusedError("meant for clients")
         age = now - datagram.time
         if not -_CLOCK_SLACK <= age <= STALE_AFTER:
             raise RefusedError("too old" if age > 0.0 else "from the future")
@@ -112,50 +111,45 @@ class Gate:
         if not (np.isfinite(positions).all() and np.isfinite(pressures).all()):
             raise RefusedError("not finite")
         if (pressures < 0.0).any():
-            raise RefusedError("a negative pressure")
+            raise RefusedError("negative pressure")
         inside = self.array.reaches(positions)
         self.outside += int((~inside).sum())
-        wanted = np.flatnonzero(inside & (pressures > 0.0))
-        if len(wanted) > self.maximum_foci:
-            strongest = np.argsort(-pressures[wanted], kind="stable")[: self.maximum_foci]
-            wanted = np.sort(wanted[strongest])
-        return Datagram(
-            datagram.kind,
-            datagram.session,
-            datagram.sequence,
-            datagram.time,
-            datagram.modulation,
-            positions[wanted],
-            np.minimum(pressures[wanted], np.float32(self.limits.pressure)),
+        kept = np.flatnonzero(inside & (pressures > 0.0))
+        if len(kept) > self.maximum_foci:
+            strongest = np.argsort(-pressures[kept], kind="stable")[: self.maximum_foci]
+            kept = np.sort(kept[strongest])
+        return replace(
+            datagram,
+            positions=positions[kept],
+            pressures=np.minimum(pressures[kept], np.float32(self.limits.pressure)),
         )
 
 
 def cap_drive(
     array: TransducerArray, drive: NDArray[np.complexfloating], limit: float
 ) -> NDArray[np.complex128]:
-    """A drive of which no amplitude, or for transducers without amplitudes not the mean, is above
-    a cap.
+    """Cap the amplitudes of a drive, or their mean if transducers are only on or off.
 
     Args:
-        array: Whose drive it is.
-        drive: Complex amplitudes in 0 to 1, shape [T].
-        limit: The highest amplitude, above 0 and up to 1.
+        array: The array.
+        drive: Complex amplitudes with magnitude 0 to 1, shape [T].
+        limit: Maximum amplitude, above 0 and up to 1.
 
     Returns:
-        A drive that the array has, with the phases kept.
+        A drive that the array can emit, with the same phases.
 
     Raises:
-        ValueError: The drive is not finite, or not of this array.
+        ValueError: The drive is not finite or does not belong to this array.
     """
     if drive.shape != (array.count,) or not np.isfinite(drive).all():
-        raise ValueError("the drive is not finite, or not of this array")
+        raise ValueError("the drive is not finite or does not belong to this array")
     amplitude = np.abs(drive)
     if array.amplitude_steps == 1:
         on = np.flatnonzero(amplitude > 0.0)
-        most = int(limit * array.count)
+        max_on = int(limit * array.count)
         capped = np.zeros(array.count, np.complex128)
-        # Those that stay on are spread over all that were.
-        kept = on if len(on) <= most else on[np.linspace(0, len(on) - 1, most).astype(int)]
+        # The transducers that stay on are evenly spread among those that were on.
+        kept = on if len(on) <= max_on else on[np.linspace(0, len(on) - 1, max_on).astype(int)]
         capped[kept] = drive[kept] / amplitude[kept]
         return capped
     highest = limit
@@ -169,31 +163,31 @@ def cap_drive(
 
 
 class OnTime:
-    """Counts sound, and asks for a pause.
+    """Accumulates time of sound, and demands a pause at the limit.
 
-    Sound adds to the count and silence takes away as much, so over a long time at most half of it
-    is sound; when the count reaches the limit there is silence for at least a twelfth of it (ten
-    seconds at the default).
+    Sound adds to the total and silence subtracts from it at the same rate, so in the long run there
+    is sound at most half of the time. When the total reaches the limit, a pause of at least a
+    twelfth of the limit follows (ten seconds by default).
     """
 
     def __init__(self, limit: float) -> None:
         self.limit = limit
         self.spent = 0.0
-        """Sound that has not been paused for [s]."""
+        """Time of sound not yet compensated by silence [s]."""
         self._resting = False
         self._time: float | None = None
 
     def advance(self, now: float, *, emitting: bool) -> None:
-        """Count up to now.
+        """Add the time since the last call.
 
         Args:
             now: The monotonic clock [s].
             emitting: Whether there was sound since the last call.
         """
-        # A machine that slept counts for a second: nobody knows whether there was sound.
-        passed = 0.0 if self._time is None else min(1.0, max(0.0, now - self._time))
+        # At most a second counts: while the computer slept, it is unknown whether there was sound.
+        elapsed = 0.0 if self._time is None else min(1.0, max(0.0, now - self._time))
         self._time = now
-        self.spent = max(0.0, self.spent + (passed if emitting else -passed))
+        self.spent = max(0.0, self.spent + (elapsed if emitting else -elapsed))
         if self.spent >= self.limit:
             self._resting = True
         elif self.spent <= self.limit * (11.0 / 12.0):
@@ -201,10 +195,10 @@ class OnTime:
 
     @property
     def allowed(self) -> bool:
-        """Whether there may be sound."""
+        """Whether sound is allowed now."""
         return not self._resting
 
     @property
     def left(self) -> float:
-        """Sound that is left [s]."""
+        """Time of sound left before a pause [s]."""
         return 0.0 if self._resting else max(0.0, self.limit - self.spent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The array server's loop: focal points in, a device's frames out, and silence when in doubt."""
+"""The main loop of the array server: receives focal points, drives a device, ensures silence."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from .guard import Guard
 from .limits import STALE_AFTER, Gate, Limits, OnTime, RefusedError, cap_drive
 
 _MAX_WAIT = 0.05
-"""The loop looks around at least this often [s]."""
-_STATUS_EVERY = 0.1
-_RECONNECT_EVERY = 0.25
+"""Maximum duration of a pass through the loop while nothing happens [s]."""
+_STATUS_INTERVAL = 0.1
+_RECONNECT_INTERVAL = 0.25
 _FAULT_SHOWN = 1.0
-"""What was wrong and is no longer is still told for this long [s]."""
+"""A fault is reported for this long after it has ended [s]."""
 _MAX_AT_ONCE = 1000
-"""Datagrams read in one go: a flood must not keep the loop from its other duties."""
+"""Maximum number of datagrams read in one pass: a flood must not block the loop's other tasks."""
 
 
 class ArrayServer:
-    """Listens on loopback, and drives one device.
+    """Listens on the loopback interface and drives one device.
 
-    Only the newest focal points count: what comes in while the device is busy replaces what has not
-    been sent. The device is silent unless the newest focal points that `Gate` let through are
-    fresh and `OnTime` allows sound; whatever goes wrong, it is made silent first.
+    Only the newest focal points count: those that arrive while the device is busy replace any that
+    have not been sent. The device is silent unless the newest focal points admitted by `Gate` are
+    recent and `OnTime` allows sound. After any failure, the device is silenced first.
 
     Args:
         device: The device, not yet open.
-        name: Its name, for the status.
+        name: Name of the device, for the status.
         limits: Caps that no message can lift.
-        port: Port on 127.0.0.1; 0 for any that is free.
-        session: Number that datagrams must bear.
+        port: Port on 127.0.0.1; 0 for any free port.
+        session: Session number required in datagrams.
         clock: The monotonic clock [s], which clients share.
-        guard: Who silences the device if this process cannot.
+        guard: Silences the device if this process cannot.
 
     Raises:
-        OSError: The port is taken.
+        OSError: The port is in use.
     """
 
     def __init__(
@@ -73,9 +73,9 @@ class ArrayServer:
         """Set to end `run`."""
         self.connected = False
         self.emitting = False
-        """Whether the device was last told to sound; kept, as unknown, while not `connected`."""
+        """Whether there is sound; after the connection is lost, whether there may still be."""
         self.fault = ""
-        """What is wrong, for people."""
+        """Current problem as a sentence for the user."""
         self._clock = clock
         self._time = clock()
         self._guard = guard
@@ -92,7 +92,7 @@ class ArrayServer:
         self._status_at = -math.inf
         self._sequence = 0
         self._losses = 0
-        self._lost_at = -math.inf
+        self._fault_at = -math.inf
         self._dropped = 0
         self._refused: dict[str, int] = {}
         self._frames: deque[float] = deque(maxlen=4096)
@@ -100,30 +100,30 @@ class ArrayServer:
 
     @property
     def port(self) -> int:
-        """The port it listens on."""
+        """The port on which the server listens."""
         return int(self._socket.getsockname()[1])
 
     def run(self) -> None:
-        """Serve until `stopping` is set or a client says so; the device is silent afterwards."""
+        """Serve until `stopping` is set or a client sends a stop; then silence the device."""
         try:
             while not self.stopping:
                 self.step()
         finally:
             self.close()
 
-    def step(self, longest: float = _MAX_WAIT) -> None:
-        """Wait for a datagram or for something that is due, and do what there is to do.
+    def step(self, max_wait: float = _MAX_WAIT) -> None:
+        """Make one pass through the loop: wait for a datagram or the next task, then handle it.
 
         Args:
-            longest: Wait no longer than this [s].
+            max_wait: Maximum time to wait [s].
         """
-        self._wait(longest)
-        now = self._look_at_clock()
+        self._wait(max_wait)
+        now = self._read_clock()
         self._receive(now)
         self._connect(now)
-        self._judge(now)
+        self._enforce_limits(now)
         if self.connected:
-            self._work(now)
+            self._drive_device(now)
         if self._guard is not None and now >= self._guard_at:
             self._guard.beat(emitting=self.emitting)
             self._guard_at = now + 0.1
@@ -131,29 +131,29 @@ class ArrayServer:
             self._report(now)
 
     def close(self) -> None:
-        """Silence the device, trying for a second where it cannot be reached, and let go of all."""
+        """Silence the device, with retries for a second, and release it, the port and the guard."""
         if self.connected and self.emitting:
-            self._silence(self._look_at_clock())
+            self._silence(self._read_clock())
         end = time.monotonic() + 1.0
         while self.emitting and not self.connected and time.monotonic() < end:
             self._connect_at = -math.inf
-            self._connect(self._look_at_clock())
+            self._connect(self._read_clock())
             time.sleep(0.02)
         silent = not self.emitting
-        self.device.close(self._look_at_clock())
+        self.device.close(self._read_clock())
         self.connected = False
         self._newest = None
         with contextlib.suppress(OSError):
-            self._report(self._look_at_clock())
+            self._report(self._read_clock())
         self._socket.close()
         if self._guard is not None:
             self._guard.end(silent=silent)
 
-    # What comes in --------------------------------------------------------------------------------
+    # Receiving ------------------------------------------------------------------------------------
 
-    def _wait(self, longest: float) -> None:
+    def _wait(self, max_wait: float) -> None:
         now = self._clock()
-        due = [longest, self._status_at - now]
+        due = [max_wait, self._status_at - now]
         if self.connected:
             due.append(self._service_at - now)
             if self._waiting:
@@ -165,15 +165,15 @@ class ArrayServer:
         with contextlib.suppress(OSError):
             select.select([self._socket], [], [], max(0.0, min(due)))
 
-    def _look_at_clock(self) -> float:
+    def _read_clock(self) -> float:
         now = self._clock()
         if now < self._time:
-            # It cannot be known any more how old anything is.
+            # The age of everything received so far is now unknown.
             self._newest = None
             self._waiting = False
             self._connect_at = self._service_at = self._status_at = self._guard_at = now
-            self._lost_at = now
-            self.fault = "The clock went back."
+            self._fault_at = now
+            self.fault = "The clock went backward."
             if self.connected and self.emitting:
                 self._silence(now)
         self._time = now
@@ -186,7 +186,7 @@ class ArrayServer:
             except BlockingIOError:
                 return
             except OSError:
-                # Windows reports here that a client's port is closed.
+                # Windows reports closed ports of clients here.
                 continue
             try:
                 datagram = self.gate.admit(data, now)
@@ -206,19 +206,19 @@ class ArrayServer:
                 self._newest, self._waiting = None, False
                 self.stopping = True
 
-    # What goes out --------------------------------------------------------------------------------
+    # Driving the device ---------------------------------------------------------------------------
 
     def _connect(self, now: float) -> None:
         if self.connected or now < self._connect_at:
             return
-        self._connect_at = now + _RECONNECT_EVERY
+        self._connect_at = now + _RECONNECT_INTERVAL
         try:
             self.device.open(now)
         except DeviceError as error:
             self.fault = str(error)
             self.device.close(now)
             return
-        # Opening may take a while: what arrived before is judged again.
+        # Opening may take a while, so `_enforce_limits` checks the age of the focal points again.
         self.connected, self.emitting = True, False
         self._service_at = self._status_at = now
 
@@ -226,7 +226,7 @@ class ArrayServer:
         self.connected = False
         self.fault = str(error)
         self._losses += 1
-        self._lost_at = now
+        self._fault_at = now
         self._foci = 0
         self._connect_at = now
         self._status_at = now
@@ -242,26 +242,26 @@ class ArrayServer:
         self._foci = 0
         self._service_at = self._status_at = now
 
-    def _judge(self, now: float) -> None:
-        """Decide whether there may be sound, and end it where not."""
+    def _enforce_limits(self, now: float) -> None:
+        """Silence the device unless the newest focal points are recent and sound is allowed."""
         self.on_time.advance(now, emitting=self.emitting)
         newest = self._newest
         if newest is not None and not 0.0 <= now - newest.time + 0.005 <= STALE_AFTER + 0.005:
             self._newest = newest = None
             self._dropped += self._waiting
             self._waiting = False
-        wanted = newest is not None and len(newest.positions) > 0
+        has_foci = newest is not None and len(newest.positions) > 0
         guarded = self._guard is None or self._guard.ready
-        if not wanted or not self.on_time.allowed or not guarded:
+        if not has_foci or not self.on_time.allowed or not guarded:
             self._waiting = False
             if self.emitting and self.connected:
                 self._silence(now)
         if not self.on_time.allowed:
-            self.fault = "The on-time limit is reached: a pause."
-        elif self.connected and now - self._lost_at > _FAULT_SHOWN:
+            self.fault = "Paused because the on-time limit was reached."
+        elif self.connected and now - self._fault_at > _FAULT_SHOWN:
             self.fault = ""
 
-    def _work(self, now: float) -> None:
+    def _drive_device(self, now: float) -> None:
         try:
             if self._waiting and self.device.busy(now) <= 0.0:
                 self._emit(now)
@@ -281,7 +281,7 @@ class ArrayServer:
                 drive = solve_drive(array, newest.positions, newest.pressures)
                 drive = cap_drive(array, drive, self.limits.amplitude)
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-                self.fault, self._lost_at = f"No drive was found ({error}).", now
+                self.fault, self._fault_at = f"The drive could not be computed ({error}).", now
                 self._newest = None
                 if self.emitting:
                     self._silence(now)
@@ -294,17 +294,17 @@ class ArrayServer:
             amplitude_cap=self.limits.amplitude,
             pressure_cap=self.limits.pressure,
         )
-        # Before it is told so: if that fails half way, it may sound.
+        # Set beforehand, because the device may be sounding even if `emit` fails.
         self.emitting = True
         sounds_at = self.device.emit(emission, self._clock())
         self._foci = len(newest.positions)
         self._frames.append(now)
         self._latencies.append(sounds_at - newest.time)
 
-    # What is said about it ------------------------------------------------------------------------
+    # Reporting ------------------------------------------------------------------------------------
 
     def status(self, now: float) -> dict[str, Any]:
-        """How it goes, see `ArrayStatus`."""
+        """The current status, with the fields of `ArrayStatus`."""
         while self._frames and self._frames[0] < now - 1.0:
             self._frames.popleft()
         latencies = np.array(self._latencies or [math.nan])
@@ -325,7 +325,7 @@ class ArrayServer:
         }
 
     def _report(self, now: float) -> None:
-        self._status_at = now + _STATUS_EVERY
+        self._status_at = now + _STATUS_INTERVAL
         self._send(Kind.STATUS, self.status(now), now)
 
     def _send_drive(self, now: float) -> None:
@@ -340,7 +340,7 @@ class ArrayServer:
         data = encode(
             kind, session=self.session, sequence=self._sequence, time=max(0.0, now), table=table
         )
-        # A client that does not listen is no fault of the array's.
+        # A client that has gone is not a fault of the array.
         with contextlib.suppress(OSError):
             self._socket.sendto(data, self._client)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ultrasound arrays, one a file: how each is connected, driven and made silent."""
+"""Ultrasound devices, one per file: how each is connected, driven and silenced."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _MAKERS = {
     "autd3": ("autd3", "DeviceAUTD3"),
     "stratos_explore": ("stratos_explore", "DeviceStratosExplore"),
 }
-"""Module of each kind, imported only when asked for, and what makes its device."""
+"""Module of each kind, imported only when needed, and the class or function that makes a device."""
 
 DEVICE_KINDS = tuple(_MAKERS)
-"""Kinds of device, as the first word of a `DeviceName`."""
+"""Kinds of device: the first part of a `DeviceName`."""
 
 
 def make_device(name: DeviceName | str) -> Device:
-    """Make a device, not yet open.
+    """Make a device without opening it.
 
     Args:
-        name: As `DeviceName.parse` reads it, such as ``sonicsurface:/dev/ttyUSB0``.
+        name: A name such as ``sonicsurface:/dev/ttyUSB0``; see `DeviceName`.
 
     Raises:
-        DeviceError: There is no such kind, or an option is wrong.
+        DeviceError: The kind is unknown, or an option is wrong.
     """
     name = DeviceName.parse(name) if isinstance(name, str) else name
     if name.kind not in _MAKERS:

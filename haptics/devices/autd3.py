@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""AUTD3, through its own packages (autd3 0.12), which are installed only by those who have one.
+"""AUTD3, through its own packages (autd3 0.12), which users of the device install themselves.
 
-The device's own watchdog is used in full: nothing but what the server's loop sends keeps it
-content, so that it falls silent by itself 150 ms after the server was killed, stopped or hangs.
-Tried against the packages' own emulators only, never on a device.
+Only data sent by the server's loop resets the device's own watchdog, so the device silences itself
+150 ms after the server is killed, is stopped or hangs. Tested only with the emulators of the
+packages, never on a device.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ WATCHDOG_MILLISECONDS = 150
 _SEND_TIMEOUT = 0.08
 _CONNECT_TIMEOUT = 1.5
 _FRAME_SECONDS = 0.002
-_LOOK_EVERY = 0.04
-_SAMPLING = 4000.0
+_CHECK_INTERVAL = 0.04
+_SAMPLING_RATE = 4000.0
 
 _T = TypeVar("_T")
 
 
 def load_autd3() -> Any:
-    """The module `autd3`.
+    """Import the module `autd3`.
 
     Raises:
-        DeviceError: It is not installed, or is another version.
+        DeviceError: The packages are not installed, or have another version.
     """
     try:
         autd3 = importlib.import_module("autd3")
@@ -43,7 +43,7 @@ def load_autd3() -> Any:
             importlib.import_module(part)
     except ImportError as error:
         raise DeviceError(
-            "The packages of AUTD3 are missing. Add autd3, autd3-pattern and autd3-modulation, "
+            "The AUTD3 packages are missing. Add autd3, autd3-pattern and autd3-modulation, "
             f"version 0.12, to this Python ({error})."
         ) from error
     return autd3
@@ -52,8 +52,8 @@ def load_autd3() -> Any:
 class DeviceAUTD3(Device):
     """``autd3``, ``autd3:INTERFACE`` or ``autd3:HOST:PORT``: one device on Ethernet.
 
-    INTERFACE is the name of a network interface; HOST:PORT is where an emulator listens.
-    Intensities are in 255ths, phases in 256ths of a period, and the device modulates.
+    INTERFACE is the name of a network interface; HOST:PORT is the address of an emulator.
+    Intensities are in 255ths, phases in 256ths of a period. The device itself modulates.
     """
 
     has_watchdog = True
@@ -62,7 +62,7 @@ class DeviceAUTD3(Device):
         name.check_options()
         self._autd3 = load_autd3()
         self._address = name.address
-        # Its table of pulse widths makes the amplitude proportional to the intensity.
+        # The device's table of pulse widths makes the amplitude proportional to the intensity.
         self.array = replace(TransducerArray.preset("autd3"), amplitude_steps=None)
         self._loop = asyncio.new_event_loop()
         self._client: Any = None
@@ -71,11 +71,11 @@ class DeviceAUTD3(Device):
         self._free_at = 0.0
 
     def open(self, now: float) -> None:
-        """Connect, arm the watchdog, and set silence."""
+        """Connect, arm the watchdog, and silence the device."""
         from autd3 import commands
         from autd3_core import Autd3, Duration, Geometry
 
-        self._let_go()
+        self._release()
         interface = self._autd3.Interface.Auto
         if ":" in self._address:
             interface = self._autd3.Interface.Addr(self._address)
@@ -83,11 +83,11 @@ class DeviceAUTD3(Device):
             interface = self._autd3.Interface.Name(self._address)
         geometry = Geometry([Autd3()])
         places = np.asarray(geometry[0].positions(), np.float64) * 1e-3
-        # Its own origin is its first transducer.
+        # The origin of the packages is the first transducer.
         places -= 0.5 * (places.min(axis=0) + places.max(axis=0))
         if not np.allclose(places, self.array.positions, atol=1e-5):
-            raise DeviceError("The autd3 packages know another geometry than the preset autd3.")
-        # A heartbeat of its own would keep the watchdog content while this process hangs.
+            raise DeviceError("The geometry of the autd3 packages differs from the preset autd3.")
+        # The client's own heartbeat would reset the watchdog even while this process hangs.
         option = self._autd3.UdpOption(iface=interface, heartbeat=None)
         config = self._autd3.ClientConfig()
         self._client = self._run(
@@ -99,7 +99,7 @@ class DeviceAUTD3(Device):
         self.off(now)
 
     def busy(self, now: float) -> float:
-        """Two milliseconds after each frame [s]."""
+        """Time until two milliseconds after the last frame [s]."""
         return max(0.0, self._free_at - now)
 
     def emit(self, emission: Emission, now: float) -> float:
@@ -125,20 +125,20 @@ class DeviceAUTD3(Device):
         self._send(self._pattern)
 
     def service(self, now: float) -> float:
-        """Ask how it is, which keeps the watchdog content, and call it off if it had to act."""
+        """Read the device's state, which resets the watchdog, and resume if it was triggered."""
         from autd3 import commands
 
         (state,) = self._run(lambda: self._opened.read_fpga_state())
         if state.is_failsafe_active():
             self._send(commands.ReleaseFailsafe(), self._pattern)
-        return _LOOK_EVERY
+        return _CHECK_INTERVAL
 
     def close(self, now: float) -> None:
         """Set all intensities to 0, and disconnect."""
         if self._client is not None:
             with contextlib.suppress(DeviceError):
                 self.off(now)
-        self._let_go()
+        self._release()
 
     def _command(self, phases: NDArray[Any], amplitudes: NDArray[Any]) -> Any:
         from autd3 import commands
@@ -154,7 +154,7 @@ class DeviceAUTD3(Device):
         from autd3_core import SamplingConfig
         from autd3_modulation import ModulationBuffer
 
-        count = round(_SAMPLING / MODULATION_FREQUENCY)
+        count = round(_SAMPLING_RATE / MODULATION_FREQUENCY)
         wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(count) / count)
         samples = np.rint(255.0 * (wave if modulated else np.ones(count))).astype(np.uint8)
         return commands.Modulation(SamplingConfig.FREQ_4K, ModulationBuffer.from_array(samples))
@@ -176,9 +176,9 @@ class DeviceAUTD3(Device):
             return self._loop.run_until_complete(wait())
         except (Autd3Error, OSError, TimeoutError) as error:
             reason = str(error) or "it does not answer"
-            raise DeviceError(f"The AUTD3 does not do as it is told: {reason}.") from error
+            raise DeviceError(f"The AUTD3 failed to execute a command: {reason}.") from error
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._client is not None:
             with contextlib.suppress(DeviceError):
                 self._run(lambda: self._client.close())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every array device is to the array server, and how it is named on the command line."""
+"""The interface between the array server and a device, and device names on the command line."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from ...solver.core.errors import TactileClayError
 from ..acoustics.transducer_array import TransducerArray
 
 MODULATION_FREQUENCY = 200.0
-"""Frequency at which sound goes on and off so that it is felt [Hz]."""
+"""Frequency at which sound is switched on and off so that it can be felt [Hz]."""
 
 
 class DeviceError(TactileClayError):
-    """A device is not there, does not answer or cannot be used so; the message says what to do."""
+    """A device is missing, does not answer or cannot be used; the message says what to do."""
 
 
 @dataclass(frozen=True)
 class Emission:
-    """What a device shall emit from now on."""
+    """What a device should emit from now on."""
 
     positions: NDArray[np.float32]
     """Focal points in the array's frame [m], shape [K, 3]."""
     pressures: NDArray[np.float32]
     """Pressure amplitude at each [Pa], shape [K]."""
     drive: NDArray[np.complex128]
-    """What `solve_drive` found for them, shape [T]; empty if the device takes focal points."""
+    """The drive that `solve_drive` found, shape [T]; empty if the device takes focal points."""
     modulated: bool = True
-    """Whether it goes on and off at `MODULATION_FREQUENCY`."""
+    """Whether the sound is switched on and off at `MODULATION_FREQUENCY`."""
     amplitude_cap: float = 1.0
-    """Highest amplitude, 0 to 1, which the drive obeys already."""
+    """Maximum amplitude, 0 to 1; the drive already obeys it."""
     pressure_cap: float = 2000.0
-    """Highest pressure [Pa], which the pressures obey already."""
+    """Maximum pressure [Pa]; the pressures already obey it."""
 
 
 @dataclass(frozen=True)
 class DeviceName:
-    """A device as people write it: ``name``, ``name:address`` or ``name:address,key=value,…``.
+    """A device as the user writes it: ``name``, ``name:address`` or ``name:address,key=value,…``.
 
     Example:
         >>> DeviceName.parse("sonicsurface:/dev/ttyUSB0,firmware=tactile")
@@ -50,18 +50,18 @@ class DeviceName:
     """
 
     kind: str
-    """Which kind of device."""
+    """One of `DEVICE_KINDS`."""
     address: str = ""
-    """Which one of that kind: a port, a serial number, a host."""
+    """Identifies the device among others of its kind, such as a port, a file or a host."""
     options: dict[str, str] = field(default_factory=dict)
-    """What else is to be known about it."""
+    """Further options by key."""
 
     @classmethod
     def parse(cls, text: str) -> DeviceName:
-        """Read a name.
+        """Parse a name.
 
         Raises:
-            DeviceError: It has not that form.
+            DeviceError: The text does not have this form.
         """
         kind, _, rest = text.strip().partition(":")
         address, options = "", {}
@@ -71,19 +71,19 @@ class DeviceName:
                 options[key.strip()] = value.strip()
             elif address or options:
                 raise DeviceError(
-                    f"{part!r} in {text!r} is not understood. Write NAME:ADDRESS,KEY=VALUE,…"
+                    f"{part!r} in {text!r} was not understood. Write NAME:ADDRESS,KEY=VALUE,…"
                 )
             else:
                 address = part
         if not kind:
-            raise DeviceError(f"{text!r} names no device. Write NAME:ADDRESS,KEY=VALUE,…")
+            raise DeviceError(f"{text!r} does not name a device. Write NAME:ADDRESS,KEY=VALUE,…")
         return cls(kind, address, options)
 
     def choice(self, key: str, choices: tuple[str, ...]) -> str:
-        """The value of an option, the first choice where it is not given.
+        """The value of an option; the first choice if it is not given.
 
         Raises:
-            DeviceError: It is not one of the choices.
+            DeviceError: The value is not one of the choices.
         """
         value = self.options.get(key, choices[0])
         if value not in choices:
@@ -91,10 +91,10 @@ class DeviceName:
         return value
 
     def number(self, key: str, default: float) -> float:
-        """The value of an option that is a number.
+        """The value of a numeric option.
 
         Raises:
-            DeviceError: It is not a finite number.
+            DeviceError: The value is not a finite number.
         """
         text = self.options.get(key, str(default))
         try:
@@ -106,98 +106,97 @@ class DeviceName:
         return value
 
     def check_options(self, *known: str) -> None:
-        """Refuse options that the device does not know.
+        """Refuse unknown options.
 
         Raises:
-            DeviceError: There is one; the message names those there are.
+            DeviceError: An option is unknown; the message lists the known ones.
         """
         for key in self.options:
             if key not in known:
                 raise DeviceError(
                     f"{self.kind} has no option {key!r}. "
-                    + (f"It has: {', '.join(known)}." if known else "It has none.")
+                    + (f"Its options are: {', '.join(known)}." if known else "It has none.")
                 )
 
 
 @dataclass(frozen=True)
 class FoundDevice:
-    """A device that is plugged in."""
+    """A device that is connected to the computer."""
 
     name: str
-    """As `DeviceName` reads it."""
+    """Its name as a `DeviceName`."""
     description: str
-    """What the system says about it."""
+    """The operating system's description."""
 
 
 class Device(ABC):
-    """An ultrasound array, used by one thread.
+    """An ultrasound array, used by a single thread.
 
-    Sound off is its resting state: `open` ends with silence, whatever the array did before, and so
-    do `off` and `close`. After any `DeviceError` but those of `open`, what the array does is
-    unknown until it is opened again.
+    The device is silent after `open`, whatever it did before, and after `off` and `close`. After a
+    `DeviceError` from any method except `open`, its state is unknown until it is opened again.
     """
 
     array: TransducerArray
-    """Its transducers, in its own coordinates; what they emit is a `solve_drive` of this."""
+    """The transducers in the device's own coordinates, for which `solve_drive` finds a drive."""
     maximum_foci: ClassVar[int] = 32
-    """Most focal points at a time."""
+    """Maximum number of simultaneous focal points."""
     takes_foci: ClassVar[bool] = False
-    """Whether it computes its drive itself, from focal points."""
+    """Whether the device computes the drive itself from focal points."""
     has_watchdog: ClassVar[bool] = False
-    """Whether it falls silent by itself when the server is gone."""
+    """Whether the device silences itself if the server is gone."""
 
     held: NDArray[np.complex128] = np.zeros(0, np.complex128)
-    """The drive that it holds as far as is known, after quantization, shape [T]; 0 is silence."""
+    """The drive last sent to the device, after quantization, shape [T]; 0 is silence."""
 
     @abstractmethod
     def open(self, now: float) -> None:
-        """Connect and make silent; may be called again after an error.
+        """Connect to the device and silence it; may be called again after an error.
 
         Args:
-            now: The monotonic clock [s], here and below.
+            now: The monotonic clock [s], also in the methods below.
 
         Raises:
-            DeviceError: It cannot be reached.
+            DeviceError: The device cannot be reached.
         """
 
     @abstractmethod
     def busy(self, now: float) -> float:
-        """How long until it takes the next emission [s], 0 if at once."""
+        """Time until the device accepts the next emission [s]; 0 if it accepts one now."""
 
     @abstractmethod
     def emit(self, emission: Emission, now: float) -> float:
-        """Emit from now on, instead of what was emitted before; call it when not `busy`.
+        """Replace the current emission; call it only when not `busy`.
 
         Args:
-            emission: What.
+            emission: What to emit.
             now: The monotonic clock [s].
 
         Returns:
-            When it will sound, by the same clock [s].
+            When the emission will start, by the same clock [s].
 
         Raises:
-            DeviceError: It is gone or does not take it.
+            DeviceError: The device is gone or does not accept the emission.
         """
 
     @abstractmethod
     def off(self, now: float) -> None:
-        """Be silent, at once and whatever is under way.
+        """Silence the device immediately, discarding anything in progress.
 
         Raises:
-            DeviceError: It is gone or does not take it.
+            DeviceError: The device is gone or does not accept the command.
         """
 
     def service(self, now: float) -> float:
-        """Do what is due: modulation from the host, repeated silence, a look at the connection.
+        """Do periodic work: modulation by the host, repeated silence, checks of the connection.
 
         Returns:
-            When to call it again at the latest [s from now].
+            Maximum time until the next call [s].
 
         Raises:
-            DeviceError: It is gone or does not take it.
+            DeviceError: The device is gone or does not accept data.
         """
         return math.inf
 
     @abstractmethod
     def close(self, now: float) -> None:
-        """Make silent if that is possible, and let go of it; raises nothing."""
+        """Silence the device if possible, and release it; raises no errors."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Serial boards that hold two patterns, one that sounds and one that is written, and exchange them.
+"""Serial boards with two patterns, one being emitted and one being written, that are exchanged.
 
-Neither acknowledges anything, and neither has a watchdog: what was exchanged last sounds for ever.
+They acknowledge nothing and have no watchdog: the last pattern is emitted forever.
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from numpy.typing import NDArray
 from .device import MODULATION_FREQUENCY, Device, DeviceError, Emission
 from .serial_port import SerialPort, choose_port, load_pyserial
 
-_PERIODS_A_FRAME = 4
-"""Periods of modulation by exchanges that follow an upload at least: an upload is silent."""
+_PERIODS_PER_FRAME = 4
+"""Minimum number of modulation periods after an upload, because the board is silent during one."""
 _RENEW = 0.1
-"""Silence is written again this often [s]: a board that was reset sounds by itself."""
+"""Interval at which silence is written again [s]: a board sounds by itself after a reset."""
 _AHEAD = 0.006
-"""Modulation is written this long before the wire runs dry [s]."""
+"""Modulation is written this long before the wire becomes idle [s]."""
 
 
 class DeviceExchangingBoard(Device):
-    """What such boards have in common.
+    """Base class of such boards.
 
-    Where the board does not modulate by itself, the patterns of sound and of silence are exchanged
-    at 200 Hz. Between two exchanges comes filling, a command that changes nothing, so that the
-    serial clock itself keeps the time.
+    If the board does not modulate by itself, a pattern of sound and one of silence are exchanged at
+    200 Hz. The time between two exchanges is filled with a command that changes nothing, so that
+    the serial clock gives the timing.
 
     Args:
-        kind: The device's kind, to say which ports there are.
-        address: Its port.
-        baud: Bits a second.
+        kind: Kind of the device, to list its possible ports.
+        address: Serial port.
+        baud: Bits per second.
         exchange: The byte that exchanges the patterns.
-        filling: A byte that changes nothing; nothing for a board that modulates by itself.
+        filling: A byte that changes nothing; None for a board that modulates by itself.
     """
 
     def __init__(
         self, kind: str, address: str, *, baud: int, exchange: int, filling: int | None
     ) -> None:
-        # Now, not when a guard must be quick.
+        # Import it now, because a guard has no time for it later.
         load_pyserial()
         self._kind = kind
         self._address = address
@@ -61,32 +61,32 @@ class DeviceExchangingBoard(Device):
 
     @abstractmethod
     def _upload(self, drive: NDArray[np.complex128], *, modulated: bool) -> bytes:
-        """All that writes a pattern, without the exchange that makes it sound.
+        """The bytes that write a pattern, without the exchange that starts emitting it.
 
-        It must not matter if another upload was cut off before it.
+        They must work even after an incomplete upload.
         """
 
     @abstractmethod
     def _greeting(self) -> bytes:
-        """What is written once when the port has been opened."""
+        """The bytes to write once after opening the port."""
 
     def _recovery(self) -> bytes:
-        """What is written before silence, since an upload may have been cut off."""
+        """The bytes to write before silence, because the last upload may be incomplete."""
         return b""
 
     def open(self, now: float) -> None:
-        """Open the port, and write silence into both patterns."""
-        self._let_go()
+        """Open the port, and write silence to both patterns."""
+        self._release()
         self._port = SerialPort(choose_port(self._kind, self._address), self._baud)
         self._port.write(self._greeting(), now)
         self._silence(now)
 
     def busy(self, now: float) -> float:
-        """Until the wire has taken the last frame and its periods of modulation [s]."""
+        """Time until the last frame and its modulation periods have been transmitted [s]."""
         return max(0.0, self._frame_until - _AHEAD - now)
 
     def emit(self, emission: Emission, now: float) -> float:
-        """Write the pattern, exchange, and begin to modulate."""
+        """Write the pattern, exchange patterns, and start modulating."""
         data = self._upload(emission.drive, modulated=emission.modulated)
         modulating = emission.modulated and len(self._period) > 0
         follows = 0.0
@@ -94,8 +94,8 @@ class DeviceExchangingBoard(Device):
             if (self._sounding and not self._modulating) or now >= self._renew_at:
                 data = self._silent_frame() + data
                 self._renew_at = now + _RENEW
-            data += self._period * _PERIODS_A_FRAME
-            follows = self._opened.seconds_for(len(self._period) * _PERIODS_A_FRAME)
+            data += self._period * _PERIODS_PER_FRAME
+            follows = self._opened.seconds_for(len(self._period) * _PERIODS_PER_FRAME)
         else:
             data += self._exchange
         self._sounding, self._modulating = True, modulating
@@ -104,12 +104,12 @@ class DeviceExchangingBoard(Device):
         return self._frame_until - follows
 
     def off(self, now: float) -> None:
-        """Throw away what has not left, and write silence into both patterns."""
+        """Discard data not yet transmitted, and write silence to both patterns."""
         self._opened.discard(now)
         self._silence(now)
 
     def service(self, now: float) -> float:
-        """Go on with the modulation; write silence again, in case the board was reset."""
+        """Continue the modulation, or write silence again in case the board was reset."""
         port = self._opened
         port.check()
         if self._modulating:
@@ -124,12 +124,12 @@ class DeviceExchangingBoard(Device):
         return max(0.001, self._renew_at - now)
 
     def close(self, now: float) -> None:
-        """Write silence, and wait until it has left."""
+        """Write silence, and wait until it has been transmitted."""
         if self._port is not None:
             with contextlib.suppress(DeviceError):
                 self.off(now)
                 self._port.drain()
-        self._let_go()
+        self._release()
 
     def _silence(self, now: float) -> None:
         self._sounding = self._modulating = False
@@ -142,7 +142,7 @@ class DeviceExchangingBoard(Device):
         silence = np.zeros(self.array.count, np.complex128)
         return self._upload(silence, modulated=False) + self._exchange
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._port is not None:
             self._port.close()
             self._port = None

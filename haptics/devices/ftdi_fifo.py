@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An FTDI chip in FIFO mode, through pyusb: what is written comes out of its parallel port.
+"""An FTDI chip in FIFO mode, which outputs written data on its parallel port; accessed by pyusb.
 
-The control requests are those of FTDI's chips: reset and purge (0), latency (9). That the chip is a
-FIFO, its EEPROM says.
+Uses FTDI's control requests reset and purge (0) and latency (9). The FIFO mode itself is set in the
+chip's EEPROM.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ VENDOR = 0x0403
 PRODUCTS = (0x6014, 0x6010, 0x6015)
 """FT232H, FT2232H and FT240X."""
 WRITE_TIMEOUT = 0.08
-"""A chip that takes nothing for this long is given up [s]."""
+"""A chip that accepts no data for this long counts as lost [s]."""
 _OUT = 0x40
 _RESET, _SET_LATENCY = 0, 9
 _RESET_ALL, _PURGE_RECEIVED, _PURGE_SENT = 0, 1, 2
@@ -24,7 +24,7 @@ _LATENCY = 2
 
 
 def load_pyusb() -> Any:
-    """The module `usb`.
+    """Import the module `usb`.
 
     Raises:
         DeviceError: pyusb is not installed.
@@ -34,14 +34,14 @@ def load_pyusb() -> Any:
         import usb.util
     except ImportError as error:
         raise DeviceError(
-            "pyusb is missing, which this array needs. Install the extension from its zip, which "
-            "brings it along, or add the package pyusb to this Python."
+            "This array needs pyusb, which is missing. Install the extension from its zip, which "
+            "includes it, or add the package pyusb to this Python."
         ) from error
     return usb
 
 
 def find_backend() -> Any:
-    """What pyusb reaches USB with, or None for its own choice: the system's libusb."""
+    """The pyusb backend of libusb-package if installed; None for pyusb's default."""
     with contextlib.suppress(ImportError):
         import libusb_package
 
@@ -50,7 +50,7 @@ def find_backend() -> Any:
 
 
 def find_chips() -> list[Any]:
-    """All FTDI chips that are plugged in, as pyusb's devices.
+    """All connected FTDI chips, as pyusb devices.
 
     Raises:
         DeviceError: pyusb or the library libusb is missing.
@@ -61,27 +61,27 @@ def find_chips() -> list[Any]:
         return [chip for chip in found if chip.idProduct in PRODUCTS]
     except usb.core.NoBackendError as error:
         raise DeviceError(
-            "The library libusb-1.0 is missing, which pyusb needs. Install it with the system's "
+            "pyusb needs the library libusb-1.0, which is missing. Install it with the system's "
             "package manager (libusb-1.0-0 on Debian), or add the package libusb-package to this "
             "Python."
         ) from error
     except (usb.core.USBError, NotImplementedError) as error:
-        raise DeviceError(f"The USB devices cannot be listed ({error}).") from error
+        raise DeviceError(f"USB devices cannot be listed ({error}).") from error
 
 
 def serial_number(chip: Any) -> str:
-    """A chip's serial number; empty where it may not be read."""
-    # pyusb raises a ValueError where a device's strings are not accessible.
+    """Serial number of a chip; empty if access is denied."""
+    # pyusb raises a ValueError if the strings of a device are not accessible.
     with contextlib.suppress(load_pyusb().core.USBError, ValueError, NotImplementedError):
         return str(chip.serial_number or "")
     return ""
 
 
 class FtdiFifo:
-    """A chip that is opened, reset and empty.
+    """An open chip, reset and with empty buffers.
 
     Args:
-        serial: Its serial number.
+        serial: Serial number of the chip.
 
     Raises:
         DeviceError: There is no such chip, or it cannot be used.
@@ -96,8 +96,8 @@ class FtdiFifo:
         if serial not in numbers:
             names = ", ".join(filter(None, numbers)) or "none"
             raise DeviceError(
-                f"There is no FTDI chip with the serial number {serial}. Plugged in: {names}. "
-                "If it is plugged in, you may lack the right to use it."
+                f"There is no FTDI chip with the serial number {serial}. Connected: {names}. "
+                "If it is connected, you may lack permission to use it."
             )
         self._chip = numbers[serial]
         try:
@@ -119,25 +119,27 @@ class FtdiFifo:
         except (self._usb.core.USBError, StopIteration, KeyError) as error:
             self.close()
             raise DeviceError(
-                f"The FTDI chip {serial} cannot be used ({error}). Does another program hold it, "
-                "and may you use it?"
+                f"The FTDI chip {serial} cannot be used ({error}). Another program may be using "
+                "it, or you may lack permission."
             ) from error
 
     def write(self, data: bytes) -> None:
-        """Write all of it.
+        """Write all of the data.
 
         Raises:
-            DeviceError: The chip is gone, or takes nothing.
+            DeviceError: The chip is gone or accepts no data.
         """
         try:
             count = self._endpoint.write(data, timeout=round(WRITE_TIMEOUT * 1e3))
         except self._usb.core.USBError as error:
-            raise DeviceError(f"The FTDI chip {self._serial} takes no data ({error}).") from error
+            raise DeviceError(f"The FTDI chip {self._serial} accepts no data ({error}).") from error
         if count != len(data):
-            raise DeviceError(f"The FTDI chip {self._serial} took {count} of {len(data)} bytes.")
+            raise DeviceError(
+                f"The FTDI chip {self._serial} accepted only {count} of {len(data)} bytes."
+            )
 
     def purge(self) -> None:
-        """Throw away what the chip has received and not given out, and the other way round.
+        """Discard the chip's buffers in both directions.
 
         Raises:
             DeviceError: The chip is gone.
@@ -149,10 +151,10 @@ class FtdiFifo:
             raise DeviceError(f"The FTDI chip {self._serial} is gone ({error}).") from error
 
     def close(self) -> None:
-        """Let go of the chip; raises nothing."""
+        """Release the chip; raises no errors."""
         with contextlib.suppress(self._usb.core.USBError, NotImplementedError):
             self._usb.util.dispose_resources(self._chip)
 
     def _control(self, request: int, value: int) -> None:
-        # The index is that of the first of the chip's ports.
+        # The index 1 selects the chip's first port.
         self._chip.ctrl_transfer(_OUT, request, value, 1, None, round(WRITE_TIMEOUT * 1e3))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A serial port that never blocks long and knows what is still on the wire."""
+"""A serial port that never blocks for long and tracks what is still being transmitted."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     import serial
 
 WRITE_TIMEOUT = 0.08
-"""A port that takes nothing for this long is given up [s]."""
-_BITS_A_BYTE = 10
+"""A port that accepts no data for this long counts as lost [s]."""
+_BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 
 
 def load_pyserial() -> Any:
-    """The module `serial`.
+    """Import the module `serial`.
 
     Raises:
         DeviceError: pyserial is not installed.
@@ -29,14 +29,14 @@ def load_pyserial() -> Any:
         import serial.tools.list_ports
     except ImportError as error:
         raise DeviceError(
-            "pyserial is missing, which serial arrays need. Install the extension from its zip, "
-            "which brings it along, or add the package pyserial to this Python."
+            "Serial arrays need pyserial, which is missing. Install the extension from its zip, "
+            "which includes it, or add the package pyserial to this Python."
         ) from error
     return serial
 
 
 def list_ports(kind: str) -> list[FoundDevice]:
-    """The USB serial ports that are plugged in, each as a device of a kind.
+    """Connected USB serial ports, each as a device of a kind.
 
     Raises:
         DeviceError: pyserial is not installed.
@@ -50,34 +50,32 @@ def list_ports(kind: str) -> list[FoundDevice]:
 
 
 def choose_port(kind: str, address: str) -> str:
-    """The port at an address, or the only one that is plugged in where none is given.
+    """The port at an address; if it is empty, the only connected port.
 
     Raises:
-        DeviceError: None is given, and there is none or more than one.
+        DeviceError: The address is empty, and no port or several are connected.
     """
     if address:
         return address
     found = list_ports(kind)
     if len(found) != 1:
         names = ", ".join(device.name for device in found) or "none"
-        raise DeviceError(
-            f"Say which serial port the array is on, as {kind}:PORT. Plugged in: {names}."
-        )
+        raise DeviceError(f"Give the serial port of the array, as {kind}:PORT. Connected: {names}.")
     return found[0].name.partition(":")[2]
 
 
 class SerialPort:
     """An open port, 8N1.
 
-    What is written lies in the system's buffers until the wire has taken it; the port reckons from
-    the baud rate when that will be, so that nothing queues up behind it.
+    Written data stays in the system's buffers until it has been transmitted. The port computes from
+    the baud rate when that will be, so that callers can avoid filling the buffers.
 
     Args:
-        path: As ``/dev/ttyUSB0`` or ``COM3``; a URL that pyserial knows, such as ``socket://…``.
-        baud: Bits a second.
+        path: For example ``/dev/ttyUSB0`` or ``COM3``, or a URL of pyserial such as ``socket://…``.
+        baud: Bits per second.
 
     Raises:
-        DeviceError: It cannot be opened.
+        DeviceError: The port cannot be opened.
     """
 
     def __init__(self, path: str, baud: int) -> None:
@@ -92,56 +90,57 @@ class SerialPort:
             port.timeout = 0
             port.write_timeout = WRITE_TIMEOUT
             if "://" not in path:
-                # Two processes that write to one array make a mess of its frames.
+                # Two processes that write to the same array would corrupt its frames.
                 port.exclusive = True
             port.open()
         except self._errors as error:
             raise DeviceError(
-                f"{path} cannot be opened ({_reason(error)}). Is the array plugged in, may you use "
-                "the port, and does no other program hold it? See array-server --list."
+                f"{path} cannot be opened ({_reason(error)}). Check that the array is connected, "
+                "that you have permission to use the port and that no other program uses it. See "
+                "array-server --list."
             ) from error
         self._port: serial.SerialBase = port
 
     def seconds_for(self, count: int) -> float:
-        """How long the wire takes for a number of bytes [s]."""
-        return count * _BITS_A_BYTE / self.baud
+        """Time to transmit a number of bytes [s]."""
+        return count * _BITS_PER_BYTE / self.baud
 
     def pending(self, now: float) -> float:
-        """How long the wire still takes for what was written [s]."""
+        """Time until everything written so far has been transmitted [s]."""
         return max(0.0, self._free_at - now)
 
     def write(self, data: bytes, now: float) -> float:
-        """Write all of it.
+        """Write all of the data.
 
         Returns:
-            When the last byte will have left, by the monotonic clock [s].
+            When the last byte will have been transmitted, by the monotonic clock [s].
 
         Raises:
-            DeviceError: The port is gone, or takes nothing.
+            DeviceError: The port is gone or accepts no data.
         """
         try:
             self._port.write(data)
         except self._errors as error:
-            # What the system still holds must not come out when the peer wakes up.
+            # Buffered data must not be transmitted later, when the board responds again.
             self.discard(now)
-            raise DeviceError(f"{self.path} takes no data ({_reason(error)}).") from error
+            raise DeviceError(f"{self.path} accepts no data ({_reason(error)}).") from error
         self._free_at = max(self._free_at, now) + self.seconds_for(len(data))
         return self._free_at
 
     def check(self) -> None:
-        """See whether the port is still there, and throw away what came.
+        """Check that the port still exists, and discard received data.
 
         Raises:
-            DeviceError: It is gone.
+            DeviceError: The port is gone.
         """
         self.read()
 
     def drain(self) -> None:
-        """Wait until what was written has left, no longer than a quarter of a second."""
+        """Wait until everything has been transmitted, at most a quarter of a second."""
         time.sleep(min(0.25, self.pending(time.monotonic())))
 
     def read(self) -> bytes:
-        """What has come, without waiting.
+        """Return received data without waiting.
 
         Raises:
             DeviceError: The port is gone.
@@ -152,20 +151,20 @@ class SerialPort:
             raise DeviceError(f"{self.path} is gone ({_reason(error)}).") from error
 
     def discard(self, now: float) -> None:
-        """Throw away what was written and has not left."""
+        """Discard data that has been written but not transmitted."""
         self._free_at = now
         with contextlib.suppress(*self._errors):
             self._port.reset_output_buffer()
 
     def close(self) -> None:
-        """Let go of the port; raises nothing."""
+        """Close the port; raises no errors."""
         with contextlib.suppress(*self._errors):
             self._port.close()
 
 
 def _port_errors(module: Any) -> tuple[type[Exception], ...]:
     errors: tuple[type[Exception], ...] = (module.SerialException, OSError, ValueError)
-    # What pyserial lets through when a terminal goes away is none of these.
+    # When a terminal disappears, pyserial raises termios.error, which is none of these.
     with contextlib.suppress(ImportError):
         import termios
 

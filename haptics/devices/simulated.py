@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An array that is not there: as slow as the real one, it keeps its drive and can be heard."""
+"""A simulated device that stores its drive and is as slow as the real one."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _FRAME_SECONDS = {
     "stratos_explore": 0.010,
     "ultraino": 200 * 10 / 115200,
 }
-"""How long an array is busy with a frame [s], see the device of that name."""
+"""How long a device is busy with a frame [s]; see the device of that name."""
 
 
 class DeviceSimulated(Device):
-    """``simulated`` or ``simulated:PRESET``: an array of a preset, a SonicSurface if not said."""
+    """``simulated`` or ``simulated:PRESET``: a preset array, by default the SonicSurface."""
 
     def __init__(self, name: DeviceName) -> None:
         name.check_options()
@@ -34,31 +34,31 @@ class DeviceSimulated(Device):
         self._free_at = 0.0
 
     def open(self, now: float) -> None:
-        """Start silent."""
+        """Store silence."""
         self.held = np.zeros(self.array.count, np.complex128)
 
     def busy(self, now: float) -> float:
-        """As long as the real array would still be taking the last frame [s]."""
+        """Time until the real array would have received the last frame [s]."""
         return max(0.0, self._free_at - now)
 
     def emit(self, emission: Emission, now: float) -> float:
-        """Keep the drive."""
+        """Store the drive."""
         self.held = emission.drive
         self._free_at = now + self._frame_seconds
         return self._free_at
 
     def off(self, now: float) -> None:
-        """Keep silence."""
+        """Store silence."""
         self.held = np.zeros(self.array.count, np.complex128)
 
     def close(self, now: float) -> None:
-        """Keep silence."""
+        """Store silence."""
         self.held = np.zeros(self.array.count, np.complex128)
 
     def field(self, points: ArrayLike) -> NDArray[np.complex128]:
-        """What would be heard [Pa], see `acoustic_field`.
+        """The sound field of the stored drive [Pa], shape [P]; see `acoustic_field`.
 
         Args:
-            points: In the array's own coordinates [m], shape [P, 3].
+            points: Points in the array's own coordinates [m], shape [P, 3].
         """
         return acoustic_field(self.array, self.held, points)

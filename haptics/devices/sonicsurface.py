@@ -2,9 +2,9 @@
 """SonicSurface: 256 transducers on a serial port at 230,400 baud (upnalab/SonicSurface, MIT).
 
 A frame is ``FE``, 256 phase bytes, ``FD``, and takes 11.2 ms; nothing is acknowledged. A phase byte
-is a delay in 32nds of a period, 32 is off. ``FD`` exchanges the pattern that sounds and the one
-that was written last, so a lone one brings back what sounded before. The stock board starts with
-sound. Tried against an emulator of that protocol only, never on a device.
+is a delay in 32nds of a period; 32 is off. ``FD`` exchanges the pattern being emitted with the one
+written last, so a second ``FD`` restores the previous one. The stock board sounds after power-up.
+Tested only with an emulator of this protocol, never on a device.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _TACTILE_STEP = round(1250 / MODULATION_FREQUENCY) - 1
 
 
 def list_devices() -> list[FoundDevice]:
-    """Serial ports that are plugged in: which board is behind one cannot be seen.
+    """Connected serial ports; which board is behind a port cannot be detected.
 
     Raises:
         DeviceError: pyserial is not installed.
@@ -39,7 +39,7 @@ def list_devices() -> list[FoundDevice]:
 
 
 def board_order(array: TransducerArray) -> NDArray[np.int64]:
-    """Which byte of a frame each transducer of the array has, shape [T].
+    """Index of each transducer's byte in a frame, shape [T].
 
     Args:
         array: A grid of columns (along X) and rows (along Y), in its own coordinates.
@@ -55,10 +55,10 @@ def board_order(array: TransducerArray) -> NDArray[np.int64]:
 class DeviceSonicSurface(DeviceExchangingBoard):
     """``sonicsurface:PORT,firmware=stock|tactile,boards=1|2``.
 
-    With the *tactile* firmware the board itself modulates, at 208 Hz (the step of 1,250 Hz that is
-    nearest to 200), whatever an emission asks for; phases are in 16ths, and it takes 88 frames a
-    second. The *stock* firmware is modulated by exchanges and takes 30. With two boards the array's
-    bytes are halved between them.
+    With the *tactile* firmware, the board itself modulates at 208 Hz (the division of 1,250 Hz
+    nearest to 200 Hz), even if an emission should not be modulated. Phases are in 16ths of a
+    period, and the rate is 88 frames per second. The *stock* firmware is modulated by exchanges, at
+    30 frames per second. With two boards, each gets half of the array's bytes.
     """
 
     def __init__(self, name: DeviceName) -> None:
@@ -66,13 +66,13 @@ class DeviceSonicSurface(DeviceExchangingBoard):
         self._tactile = name.choice("firmware", ("stock", "tactile")) == "tactile"
         self._two_boards = name.choice("boards", ("1", "2")) == "2"
         if self._tactile and self._two_boards:
-            raise DeviceError("The tactile firmware drives one board only. Leave boards=2 out.")
+            raise DeviceError("The tactile firmware drives only one board. Leave out boards=2.")
         super().__init__(
             "sonicsurface",
             name.address,
             baud=BAUD,
             exchange=EXCHANGE,
-            # Selects the board that is selected already.
+            # This selects the board that is already selected.
             filling=None if self._tactile else PRIMARY,
         )
         array = TransducerArray.preset("sonicsurface")
@@ -87,7 +87,7 @@ class DeviceSonicSurface(DeviceExchangingBoard):
         pattern = np.empty(self.array.count, np.uint8)
         pattern[self._order] = np.where(amplitudes > 0, phases * (2 if self._tactile else 1), OFF)
         data = pattern.tobytes()
-        # A board obeys the start only while it is selected, and it may have been left deselected.
+        # A board obeys START only while selected, and it may have been deselected before.
         if self._tactile:
             return bytes([MODULATION | _TACTILE_STEP, START]) + data
         if not self._two_boards:

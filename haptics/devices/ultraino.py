@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ultraino: three driver boards on a serial port (asiermarzo/Ultraino, MIT).
+"""Ultraino: three kinds of driver boards on a serial port (asiermarzo/Ultraino, MIT).
 
-Tried against an emulator of their protocols only, never on a device.
+Tested only with emulators of their protocols, never on a device.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _MEGA_PINS = (
     *(21, 23, 65, 63, 9, 11, 13, 15, 20, 22, 64, 66, 8, 10, 12, 14),
     *(24, 25, 26, 27, 16, 17, 18, 19, 7, 6, 5, 4, 3, 2, 1, 0),
 )
-"""Where each output of the driver shield is among the Mega's ports: port times 8, plus its bit."""
+"""Position of each output of the driver shield in the Mega's ports: port times 8, plus bit."""
 _MEGA_DURATION, _MEGA_COMMIT, _MEGA_EXCHANGE = 0x30, 0x10, 0x00
 
 
 def list_devices() -> list[FoundDevice]:
-    """Serial ports that are plugged in: which board is behind one cannot be seen.
+    """Connected serial ports; which board is behind a port cannot be detected.
 
     Raises:
         DeviceError: pyserial is not installed.
@@ -43,12 +43,12 @@ def list_devices() -> list[FoundDevice]:
 def choose_board(name: DeviceName) -> Device:
     """Make ``ultraino:PORT,board=mega|fpga|fpga128,boards=N,array=PRESET|FILE.toml``.
 
-    - *mega*: ArduinoMEGA64 at 115,200 baud, 10 phases, 64 outputs a board, 53 frames a second.
-    - *fpga*: SimpleFPGA at 230,400 baud, 32 phases, 256 emitters, 30 frames a second.
-    - *fpga128*: SimpleFPGA_128 at 1,500,000 baud, 128 phases, 72 emitters, 45 frames a second.
+    - *mega*: ArduinoMEGA64 at 115,200 baud, 10 phases, 64 outputs per board, 53 frames per second.
+    - *fpga*: SimpleFPGA at 230,400 baud, 32 phases, 256 emitters, 30 frames per second.
+    - *fpga128*: SimpleFPGA_128 at 1,500,000 baud, 128 phases, 72 emitters, 45 frames per second.
 
-    What is wired to which output is the builder's choice: output n is taken for transducer n of the
-    array, which is 8 × 8, for *fpga* 16 × 16, unless another is given.
+    The wiring is up to the builder: output n is assumed to drive transducer n of the array. The
+    default array is 8 × 8, or 16 × 16 for *fpga*.
 
     Raises:
         DeviceError: An option is wrong, or the array does not fit the board.
@@ -58,14 +58,14 @@ def choose_board(name: DeviceName) -> Device:
     if board == "mega":
         return DeviceUltrainoMega(name)
     if "boards" in name.options:
-        raise DeviceError("Only board=mega comes in chains: leave boards out.")
+        raise DeviceError("Only board=mega can be chained. Leave out boards.")
     if board == "fpga":
         return DeviceUltrainoFPGA(name, "sonicsurface", baud=230_400, divisions=32, emitters=256)
     return DeviceUltrainoFPGA(name, "ultraino", baud=1_500_000, divisions=128, emitters=72)
 
 
 def _array(name: DeviceName, preset: str, *, divisions: int, outputs: int) -> TransducerArray:
-    """The array that is wired to a board, with the board's phases."""
+    """The array connected to a board, with the board's number of phases."""
     chosen = name.options.get("array", preset)
     try:
         if chosen.endswith(".toml"):
@@ -75,7 +75,10 @@ def _array(name: DeviceName, preset: str, *, divisions: int, outputs: int) -> Tr
     except (OSError, ValueError) as error:
         raise DeviceError(f"The array {chosen} cannot be used: {error}") from error
     if array.count > outputs:
-        raise DeviceError(f"There are {outputs} outputs, too few for {chosen}'s {array.count}.")
+        raise DeviceError(
+            f"The board has {outputs} outputs, too few for the {array.count} transducers of "
+            f"{chosen}."
+        )
     return replace(array, phase_steps=divisions, amplitude_steps=1)
 
 
@@ -91,7 +94,7 @@ class DeviceUltrainoFPGA(DeviceExchangingBoard):
         self._emitters = emitters
 
     def _greeting(self) -> bytes:
-        # Whatever pulse widths an earlier program has left, in both patterns.
+        # An earlier program may have left other pulse widths in both patterns.
         full = bytes([AMPLITUDES]) + bytes([self._divisions // 2]) * self._emitters
         return bytes([ENABLE_ALL]) + (full + self._exchange) * 2
 
@@ -105,9 +108,9 @@ class DeviceUltrainoFPGA(DeviceExchangingBoard):
 class DeviceUltrainoMega(DeviceExchangingBoard):
     """ArduinoMEGA64; see `choose_board`. Boards in a chain have 64 outputs each.
 
-    A pattern is a list of waveforms with their durations in periods of 40 kHz, which the board
-    repeats: 100 periods of sound, then 100 of silence, are 200 Hz. The waveform of silence stays
-    where it is in both patterns, so only that of sound is uploaded.
+    A pattern is a list of waveforms with durations in periods of 40 kHz, which the board repeats:
+    100 periods of sound, then 100 of silence, give 200 Hz. The silent waveform remains in both
+    patterns, so only the waveform of sound is uploaded.
     """
 
     def __init__(self, name: DeviceName) -> None:
@@ -116,7 +119,7 @@ class DeviceUltrainoMega(DeviceExchangingBoard):
         )
         boards = name.number("boards", 1.0)
         if boards not in range(1, 15):
-            raise DeviceError(f"There are 1 to 14 boards in a chain, not {boards:g}.")
+            raise DeviceError(f"A chain has 1 to 14 boards, not {boards:g}.")
         self._boards = int(boards)
         self.array = _array(name, "ultraino", divisions=_MEGA_DIVISIONS, outputs=64 * self._boards)
 
@@ -125,7 +128,7 @@ class DeviceUltrainoMega(DeviceExchangingBoard):
         return bytes([_MEGA_EXCHANGE]) + (silence + bytes([_MEGA_EXCHANGE])) * 2
 
     def _recovery(self) -> bytes:
-        # The place that is written is reset by an exchange only.
+        # Only an exchange resets the write position.
         return self._exchange
 
     def _upload(self, drive: NDArray[np.complex128], *, modulated: bool) -> bytes:
@@ -139,7 +142,7 @@ class DeviceUltrainoMega(DeviceExchangingBoard):
         return self._waveform(drive) + parts + bytes([_MEGA_COMMIT])
 
     def _waveform(self, drive: NDArray[np.complex128]) -> bytes:
-        """The bytes of one waveform for all boards: half a byte each, with the board's number."""
+        """One waveform for all boards: each byte holds four bits and the number of the board."""
         phases, amplitudes = drive_steps(self.array, drive)
         table = np.zeros((self._boards, _MEGA_DIVISIONS, _MEGA_PORTS), np.uint8)
         for index in np.flatnonzero(amplitudes > 0):

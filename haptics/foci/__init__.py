@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From pressure on the skin to focal points and routes of them."""
+"""Turns pressure on the skin into focal points, or into routes along which they move."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weighted k-means that keeps as many clusters as points need, frame after frame."""
+"""Weighted k-means that adapts the number of clusters to the points from frame to frame."""
 
 from __future__ import annotations
 
@@ -9,36 +9,37 @@ from numpy.typing import NDArray
 from ..acoustics.small_product import small_product
 
 _SPLIT = 0.75
-"""A cluster is split while its spread along its longest axis is more, over sigma."""
+"""A cluster is split if its standard deviation along its longest axis exceeds this, in sigmas."""
 _MERGE = 1.0
-"""Clusters nearer than this are one, over sigma."""
-_APART = 1.5
-"""Seeds are no nearer than this, over sigma: what they lack is split later, what they have too much
-would stay until it came near enough to merge."""
-_PART = 0.8
-"""Halves of a split cluster are put so far from its middle, over its spread: those of a line."""
+"""Clusters closer than this are merged, in sigmas."""
+_SEED_DISTANCE = 1.5
+"""Minimum distance between seeds, in sigmas. Too few seeds are split later; too many would remain
+until they come close enough to merge."""
+_SPLIT_OFFSET = 0.8
+"""Offset of the two halves of a split cluster from its center, in standard deviations: the value
+for points on a line."""
 _WORTH = 3.0
-"""A pair is merged to free a cluster for a split elsewhere that gains so many times what it costs:
-well above 1, lest the pair comes back with the next frame."""
-_STILL = 0.02
-"""Centers that move less are where they should be, over sigma."""
+"""A pair is merged to split another cluster only if the split gains this many times what the merge
+costs. It is well above 1 so that the pair does not return in the next frame."""
+_CONVERGED = 0.02
+"""Centers that move less than this have converged, in sigmas."""
 _SHIFTS = 4
 _OFF_SKIN = 1.3
-"""A mean of skin farther from every point than this, over its reach, lies in the air."""
+"""A mean farther than this from every skin point is in the air, in standard deviations `reach`."""
 _SWEEPS_COLD, _SWEEPS_WARM = 30, 4
 
 Real = NDArray[np.float64]
 
 
 class Clusters:
-    """Points with mass, and the search for centers among them.
+    """Points with mass, to be clustered.
 
-    All positions are relative to a point nearby, so that single precision is exact to some 25 µm.
+    All positions are relative to a nearby point, so that single precision is good to about 25 µm.
 
     Args:
         rows: Coordinates of the points [m], shape [3, M].
         mass: Weight of each, above 0, shape [M].
-        sigma: Length that clusters are told apart by [m].
+        sigma: Length scale of the clusters [m].
     """
 
     def __init__(self, rows: NDArray[np.float32], mass: Real, sigma: float) -> None:
@@ -46,7 +47,7 @@ class Clusters:
         self._square = np.einsum("im,im->m", self._rows, self._rows)
         self._mass = mass.astype(np.float32)
         self._sigma = sigma
-        # Mass, first and second moments of every point: a cluster's are their sums.
+        # Mass, first and second moments of each point; the moments of a cluster are their sums.
         self._moments = np.empty((10, len(mass)), np.float32)
         self._moments[0] = self._mass
         np.multiply(self._rows, self._mass, out=self._moments[1:4])
@@ -58,9 +59,9 @@ class Clusters:
         """Centers of at most `count` clusters [m], shape [K, 3].
 
         Args:
-            count: Most clusters, at least 1.
-            start: Centers to go on from [m], shape [K, 3]; k-means++ seeds where not given. Their
-                order is kept.
+            count: Maximum number of clusters, at least 1.
+            start: Centers to start from [m], shape [K, 3], whose order is kept; k-means++ seeds if
+                None.
         """
         if start is None:
             centers, sums = self._sweep(self._seeds(count), _SWEEPS_COLD)
@@ -74,31 +75,31 @@ class Clusters:
         return centers
 
     def snapped(self, centers: Real, reach: float) -> Real:
-        """The skin beside each center [m], shape [K, 3].
+        """Move each center onto the skin [m], shape [K, 3].
 
-        It is the mean mass of the cluster about the point nearest to the center, which moves
-        smoothly with the center. Where that lies off the skin, as between two fingers, it is the
-        middle of the pressed skin next to the nearest point.
+        The result is the center of mass of the cluster around the point nearest to the center, so
+        it moves smoothly with the center. If that is off the skin, for example between two fingers,
+        the middle of the pressed skin near that point is used instead.
 
         Args:
             centers: Centers [m], shape [K, 3].
-            reach: Standard deviation of the mean [m].
+            reach: Standard deviation of the Gaussian that weights the mean [m].
         """
         score, members = self._members(centers)
         closest = (self._square - 2.0 * score).argmin(1)
         least = self._square[closest] - 2.0 * score[np.arange(len(score)), closest]
         beyond = self._square - 2.0 * score.max(0) - small_product(members.T, least)
-        # Nothing is smaller than e^-40: processors are slow with such numbers.
+        # The exponent is limited because processors are slow with subnormal numbers.
         members *= np.exp(np.maximum(beyond * (-0.5 / reach**2), -40.0)) * self._mass
         members[np.arange(len(members)), closest] += 1e-6 * self._mass.max()
         mean = members @ self._rows.T / members.sum(1)[:, None]
         off = (self._square - 2.0 * (mean @ self._rows)).min(1) + np.square(mean).sum(1)
         for index in np.flatnonzero(off > (_OFF_SKIN * reach) ** 2):
-            mean[index] = self._beside(self._rows[:, closest[index]], reach)
+            mean[index] = self._mode(self._rows[:, closest[index]], reach)
         return mean.astype(np.float64)
 
-    def _beside(self, start: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
-        """The skin beside where mean shift ends that begins at a point, shape [3]."""
+    def _mode(self, start: NDArray[np.float32], reach: float) -> NDArray[np.float32]:
+        """Mean of the skin near a local maximum of mass, found by mean shift, shape [3]."""
         place = start
         for _ in range(_SHIFTS):
             square = np.square(self._rows - place[:, None]).sum(0)
@@ -109,24 +110,24 @@ class Clusters:
         return (small_product(self._rows, weight) / weight.sum()).astype(np.float32)
 
     def _members(self, centers: Real) -> tuple[Real, Real]:
-        """What is greatest for the nearest center, and 1 where that is this one, shape [K, M]."""
+        """A score that is highest for the nearest center, and 1 for members, both [K, M]."""
         centers = centers.astype(np.float32)
         score = centers @ self._rows
         score -= 0.5 * np.square(centers).sum(1)[:, None]
         return score, (score >= score.max(0)).astype(np.float32)
 
     def _sums(self, centers: Real) -> Real:
-        """Mass, first and second moments of each center's cluster, shape [K, 10]."""
+        """Mass, first and second moments of each cluster, shape [K, 10]."""
         return small_product(self._members(centers)[1], self._moments.T).astype(np.float64)
 
-    def _sweep(self, centers: Real, most: int) -> tuple[Real, Real]:
-        """Lloyd's iteration; clusters that nothing belongs to vanish.
+    def _sweep(self, centers: Real, sweeps: int) -> tuple[Real, Real]:
+        """Lloyd's iteration until convergence; empty clusters are removed.
 
         Returns:
-            Centers, shape [K, 3], and the moments they come from, shape [K, 10].
+            Centers, shape [K, 3], and the moments of their clusters, shape [K, 10].
         """
         sums = np.zeros((len(centers), 10))
-        for _ in range(most):
+        for _ in range(sweeps):
             sums = self._sums(centers)
             alive = sums[:, 0] > 0.0
             if not alive.all():
@@ -134,14 +135,14 @@ class Clusters:
             moved = sums[:, 1:4] / sums[:, :1]
             shift = float(np.abs(moved - centers).max())
             centers = moved
-            if shift < _STILL * self._sigma:
+            if shift < _CONVERGED * self._sigma:
                 break
         return centers, sums
 
     def _seeds(self, count: int) -> Real:
-        """k-means++: each next seed is drawn by mass times squared distance to those there are.
+        """k-means++: draw each seed with probability mass times squared distance to the others.
 
-        The drawing is the same each time.
+        The random numbers are the same every time.
         """
         random = np.random.default_rng(20210706)
         chance = self._mass
@@ -153,39 +154,39 @@ class Clusters:
             seed = self._rows[:, min(pick, len(chance) - 1)]
             seeds.append(seed)
             np.minimum(least, np.square(self._rows - seed[:, None]).sum(0), out=least)
-            chance = self._mass * np.where(least < (_APART * self._sigma) ** 2, 0.0, least)
+            chance = self._mass * np.where(least < (_SEED_DISTANCE * self._sigma) ** 2, 0.0, least)
         return np.array(seeds, np.float64)
 
     def _adapted(self, centers: Real, sums: Real, count: int) -> Real | None:
-        """Centers with one cluster more, fewer or elsewhere; None where nothing is to change."""
+        """Centers after adding, removing or moving one cluster; None if no change is needed."""
         mass = sums[:, 0]
-        (keep, gone), apart, cost = self._cheapest_pair(centers, mass)
-        if apart < _MERGE * self._sigma:
-            result = _merged(centers, mass, keep, gone)
-            return np.delete(result, gone, axis=0)
+        (keep, removed), distance, cost = self._cheapest_pair(centers, mass)
+        if distance < _MERGE * self._sigma:
+            result = _merged(centers, mass, keep, removed)
+            return np.delete(result, removed, axis=0)
         if count == 1:
             return None
         variance, axes = np.linalg.eigh(_covariance(sums))
         largest = np.where(variance[:, 2] > (_SPLIT * self._sigma) ** 2, mass * variance[:, 2], 0.0)
-        which = int(largest.argmax())
-        if largest[which] == 0.0:
+        split = int(largest.argmax())
+        if largest[split] == 0.0:
             return None
-        step = _PART * np.sqrt(variance[which, 2]) * axes[which, :, 2]
+        step = _SPLIT_OFFSET * np.sqrt(variance[split, 2]) * axes[split, :, 2]
         if len(centers) < count:
-            result = np.vstack((centers, centers[which] + step))
-            result[which] -= step
+            result = np.vstack((centers, centers[split] + step))
+            result[split] -= step
             return result
-        if which in (keep, gone) or _PART * _PART * largest[which] < _WORTH * cost:
+        if split in (keep, removed) or _SPLIT_OFFSET**2 * largest[split] < _WORTH * cost:
             return None
-        result = _merged(centers, mass, keep, gone)
-        result[gone] = centers[which] + step
-        result[which] -= step
+        result = _merged(centers, mass, keep, removed)
+        result[removed] = centers[split] + step
+        result[split] -= step
         return result
 
     def _cheapest_pair(self, centers: Real, mass: Real) -> tuple[tuple[int, int], float, float]:
-        """The two clusters that cost least to merge (Ward 1963): who, how far apart, the cost.
+        """The two clusters that cost least to merge (Ward 1963), their distance, and the cost.
 
-        Where clusters are nearer than the distance of merging, it is those among them.
+        If any clusters are close enough to be merged, only those are considered.
         """
         if len(centers) < 2:
             return (0, 0), np.inf, np.inf
@@ -198,11 +199,11 @@ class Clusters:
         return (first, second), float(np.sqrt(square[first, second])), float(cost[first, second])
 
 
-def _merged(centers: Real, mass: Real, keep: int, gone: int) -> Real:
-    """A copy of the centers where one stands for two."""
+def _merged(centers: Real, mass: Real, keep: int, removed: int) -> Real:
+    """A copy of the centers with one moved to the mean of two."""
     result = centers.copy()
-    both = (keep, gone)
-    result[keep] = np.average(centers[both, :], axis=0, weights=mass[[keep, gone]])
+    both = [keep, removed]
+    result[keep] = np.average(centers[both], axis=0, weights=mass[both])
     return result
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where an array should press, and how hard: focal points clustered from a pressure field.
+"""Positions and pressures of focal points, clustered from a pressure field.
 
 After section IV-B of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021, whose clustering is that of Barreiro, Sinclair and Otaduy, "Ultrasound rendering of
-tactile interaction with fluids", WHC 2019 (10.1109/WHC.2019.8816137). Seeds are those of Arthur and
+WHC 2021. The clustering is from Barreiro, Sinclair and Otaduy, "Ultrasound rendering of tactile
+interaction with fluids", WHC 2019 (10.1109/WHC.2019.8816137), with the seeds of Arthur and
 Vassilvitskii, "k-means++", SODA 2007.
 """
 
@@ -18,26 +18,27 @@ from numpy.typing import ArrayLike, NDArray
 from .clusters import Clusters
 
 PRESSURE_RULES = ("least_squares", "printed")
-"""How a focus gets its pressure: the true minimizer of equation 9, or what the paper prints."""
+"""How to compute the pressure of a focus: the minimizer of equation 9, or the paper's formula."""
 
 _SNAP = 0.3
-"""Reach of the mean of the skin beside a center that stands for the skin there, over sigma."""
+"""Standard deviation of the mean that moves a center onto the skin, in sigmas."""
 
 Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Foci:
-    """Focal points of one moment. Their order is kept from frame to frame while they live."""
+    """Focal points at one moment. A focus keeps its index from frame to frame while it exists."""
 
     positions: Real
-    """On the skin [m], shape [K, 3]."""
+    """Positions on the skin [m], shape [K, 3]."""
     pressures: Real
     """Focal pressure of each [Pa], shape [K]."""
     assignment: NDArray[np.intp]
-    """Index of the nearest focus for each point of the field, shape [G]; -1 without foci."""
+    """Index of the focus nearest to each point of the field, shape [G]; -1 if there are no foci.
+    Empty if the field is unknown."""
     sigma: float
-    """Standard deviation of the Gaussian that a focus is taken for [m]."""
+    """Standard deviation of the Gaussian that models a focus [m]."""
 
     @property
     def count(self) -> int:
@@ -56,33 +57,32 @@ def focus(
     rule: str = "least_squares",
     ceiling: float | None = None,
 ) -> Foci:
-    """Choose focal points that stand for a pressure field.
+    """Choose focal points that approximate a pressure field.
 
-    Their places are a weighted k-means clustering of α p* (equation 8), seeded by k-means++ or,
-    from frame to frame, by the last foci; then each is laid onto the skin beside it. There are as
-    many as the touched skin needs: a cluster is split while its spread along its longest axis is
-    more than 0.75 sigma, and foci nearer than one sigma, which no array of that wavelength can tell
-    apart, become one. Their pressures fit p* over each focus's Voronoi region (equation 9): the
-    least-squares solution is Σ p* G / Σ G², G being the Gaussian; the paper prints Σ p* G / Σ G,
-    which gives too little (``rule="printed"``). α is not in equation 9: with it, finger pads would
-    be rendered better by less than a hundredth.
+    The positions are a weighted k-means clustering of α p* (equation 8), seeded by k-means++ or by
+    the previous foci; each is then moved onto the skin nearby. Their number follows the touched
+    skin: a cluster is split if its standard deviation along its longest axis exceeds 0.75 sigma,
+    and foci closer than one sigma, which no array of that wavelength can resolve, are merged. The
+    pressures fit p* over the Voronoi region of each focus (equation 9). The least-squares solution
+    is Σ p* G / Σ G², where G is the Gaussian; the paper prints Σ p* G / Σ G, which is too small
+    (``rule="printed"``). Equation 9 does not contain α; with it, the error on the finger pads would
+    improve by less than 1 %.
 
     Args:
-        positions: Points of the skin [m], shape [G, 3].
+        positions: Skin points [m], shape [G, 3].
         pressures: Target pressure p* at each [Pa], shape [G].
         weights: Perceptual weight α of each, shape [G].
-        count: Foci that the array can do at once.
-        sigma: Standard deviation of a focus, the wavelength [m].
-        previous: Foci of the frame before, to go on from.
+        count: Maximum number of foci.
+        sigma: Standard deviation of a focus, equal to the wavelength [m].
+        previous: Foci of the previous frame, to start from.
         rule: One of `PRESSURE_RULES`.
-        ceiling: Greatest pressure of a focus [Pa]; none where not given.
+        ceiling: Maximum pressure of a focus [Pa]; None for no limit.
 
     Returns:
-        At most `count` foci; none where nothing is touched.
+        At most `count` foci; none if nothing is touched.
 
     Raises:
-        ValueError: Shapes do not fit, values are not finite or below 0, or an option is none of
-            those there are.
+        ValueError: Shapes do not match, values are negative or not finite, or an option is invalid.
     """
     points = np.asarray(positions, np.float64)
     target = np.asarray(pressures, np.float64)
@@ -97,15 +97,15 @@ def focus(
         raise ValueError(f"rule is {rule!r}; it must be one of {', '.join(PRESSURE_RULES)}.")
     if count < 0 or not (math.isfinite(sigma) and sigma > 0):
         raise ValueError(f"count is {count}, sigma {sigma!r}; they must be at least 0 and above 0.")
-    # One sum instead of three tests of every value: it is finite only if all are.
+    # A finite sum means that all values are finite, and is faster than testing each.
     if not math.isfinite(float(points.sum()) + float(mass.sum()) + float(target.sum())):
         raise ValueError("Positions, pressures and weights of a field must be finite.")
     if mass.min(initial=0.0) < 0.0 or target.min(initial=0.0) < 0.0:
         raise ValueError("Pressures and weights of a field must be at least 0.")
     touched = np.flatnonzero(mass)
     if count == 0 or len(touched) == 0:
-        nobody = np.full(len(target), -1, np.intp)
-        return Foci(np.zeros((0, 3)), np.zeros(0), nobody, sigma)
+        unassigned = np.full(len(target), -1, np.intp)
+        return Foci(np.zeros((0, 3)), np.zeros(0), unassigned, sigma)
     origin = points[touched[0]]
     rows = _rows(points, origin)
     all_touched = len(touched) == len(points)
@@ -118,17 +118,18 @@ def focus(
     centers = clusters.find(count, start)
     places = clusters.snapped(centers, _SNAP * sigma)
     assignment, square = _nearest(rows, places)
-    fall = np.exp(square * (-0.5 / sigma**2))
-    above = np.bincount(assignment, target * fall, len(places))
-    below = np.bincount(assignment, fall if rule == "printed" else fall * fall, len(places))
-    found = above / np.maximum(below, 1e-300)
+    gaussian = np.exp(square * (-0.5 / sigma**2))
+    numerator = np.bincount(assignment, target * gaussian, len(places))
+    squared = gaussian if rule == "printed" else gaussian * gaussian
+    denominator = np.bincount(assignment, squared, len(places))
+    fitted = numerator / np.maximum(denominator, 1e-300)
     if ceiling is not None:
-        found = np.minimum(found, ceiling)
-    return Foci(places + origin, found, assignment, sigma)
+        fitted = np.minimum(fitted, ceiling)
+    return Foci(places + origin, fitted, assignment, sigma)
 
 
 def reconstruct(foci: Foci, positions: ArrayLike) -> Real:
-    """Pressure that foci give [Pa], shape [P]: a Gaussian about each, in its own Voronoi region.
+    """Pressure that foci produce, a Gaussian around each in its Voronoi region [Pa], shape [P].
 
     Args:
         foci: The foci.
@@ -143,12 +144,12 @@ def reconstruct(foci: Foci, positions: ArrayLike) -> Real:
 
 
 def _rows(points: Real, origin: Real) -> NDArray[np.float32]:
-    """Coordinates relative to a point nearby [m], shape [3, P]."""
+    """Coordinates relative to a nearby point [m], shape [3, P]."""
     return np.ascontiguousarray((points - origin).T, np.float32)
 
 
 def _nearest(rows: NDArray[np.float32], places: Real) -> tuple[NDArray[np.intp], Real]:
-    """Nearest place of each point and the square of its distance [m²], both of shape [P]."""
+    """Index of the place nearest to each point, and squared distance [m²], both of shape [P]."""
     local = places.astype(np.float32)
     half = local @ rows
     half -= 0.5 * np.square(local).sum(1)[:, None]

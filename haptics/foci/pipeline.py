@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From the contact forces of a frame to its focal points, and the state the next frame needs."""
+"""Turns the contact forces of each frame into focal points, with state between frames."""
 
 from __future__ import annotations
 
@@ -12,39 +12,35 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..acoustics.transducer_array import TransducerArray
 from ..skin.pressure_field import PressureField
-from .focal_points import focus, reconstruct
+from .focal_points import Foci, focus, reconstruct
 
 
 @dataclass(frozen=True, eq=False)
 class TouchFrame:
     """What one frame should feel like, in world coordinates."""
 
-    positions: NDArray[np.float64]
-    """Focal points [m], shape [K, 3]."""
-    pressures: NDArray[np.float64]
-    """Pressure amplitude at each [Pa], shape [K]."""
-    sigma: float = 0.0
-    """Size of a focal point: the standard deviation of its Gaussian [m]."""
+    foci: Foci
+    """The focal points."""
     skin: NDArray[np.float64] | None = None
-    """Points of the skin that face the array [m], shape [F, 3]; None where it is not known."""
+    """Skin points that face the array [m], shape [F, 3]; None for a frame read from a bake."""
     wanted: NDArray[np.float64] | None = None
-    """Pressure wanted at each [Pa], shape [F]."""
+    """Target pressure at each skin point [Pa], shape [F]."""
     reconstructed: NDArray[np.float64] | None = None
-    """Pressure that the focal points give at each [Pa], shape [F]."""
+    """Pressure that the focal points give at each skin point [Pa], shape [F]."""
 
 
 class TouchPipeline:
-    """Pressure field, then focal points, each from frame to frame.
+    """Computes the pressure field and the focal points of successive frames.
 
     Example:
         >>> pipeline = TouchPipeline()
         >>> frame = pipeline.step([solver.contacts(hand)], array, dt=1 / 60)
-        >>> client.send(frame)
+        >>> client.send(frame.foci)
     """
 
     def __init__(self) -> None:
-        self._fields: list[Any] = []
-        self._foci: Any = None
+        self._fields: list[PressureField] = []
+        self._foci: Foci | None = None
 
     def step(
         self,
@@ -57,26 +53,25 @@ class TouchPipeline:
         ceiling: float = 1000.0,
         count: int = 8,
     ) -> TouchFrame:
-        """Find the focal points of a frame.
+        """Compute the focal points of a frame.
 
         Args:
-            contacts: What the solver tells of each hand: ghosts' positions [m], normals, areas [m²]
-                and forces [N], see `PressureField.from_contacts`.
+            contacts: The solver's contacts of each hand, see `PressureField.from_contacts`.
             array: The array, placed in the world.
-            weights: Perceptual weights of each hand's ghosts; 1 where not given.
-            dt: Time since the frame before [s]; None for a frame without a predecessor.
-            gain: Focal over contact pressure for light contact.
-            ceiling: Greatest focal pressure [Pa].
-            count: Largest number of focal points.
+            weights: Perceptual weights of the ghosts of each hand; None for 1.
+            dt: Time since the previous frame [s]; None to start anew.
+            gain: Focal pressure per contact pressure in light contact.
+            ceiling: Maximum focal pressure [Pa].
+            count: Maximum number of focal points.
 
         Raises:
-            ValueError: Shapes do not fit, or an option is out of its range.
+            ValueError: Shapes do not match, or an option is out of range.
         """
         fields = []
         for index, contact in enumerate(contacts):
             last = self._fields[index] if dt is not None and index < len(self._fields) else None
             if last is not None and len(last.state) != len(contact.areas):
-                # A hand that was bound again has other ghosts.
+                # The hand was bound again and has new ghosts.
                 last = None
             fields.append(
                 PressureField.from_contacts(
@@ -101,9 +96,7 @@ class TouchPipeline:
             ceiling=ceiling,
         )
         return TouchFrame(
-            self._foci.positions,
-            self._foci.pressures,
-            self._foci.sigma,
+            self._foci,
             field.positions,
             field.pressures,
             reconstruct(self._foci, field.positions),

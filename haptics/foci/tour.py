@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stops spread evenly over touched skin, and a short closed way through all of them."""
+"""Spreads stops evenly over touched skin, and finds a short closed tour through them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ def spread_stops(
 ) -> tuple[Real, int]:
     """Choose stops so that every point lies within about `reach` of one.
 
-    Each next stop is the point that is farthest from those there are (Gonzalez 1985), then stops
-    move to the middle of what they serve, and onto the nearest point again.
+    Each new stop is the point farthest from all stops so far (Gonzalez 1985). Then each stop moves
+    to the point nearest to the mean of the points that it covers.
 
     Args:
         points: Touched skin [m], shape [M, 3].
-        reach: How far a stop serves [m].
+        reach: Radius that a stop covers [m].
         first: Index of the point to start from.
-        kept: Stops of the frame before that are kept where they still lie on these points [m],
-            shape [L, 3].
+        kept: Stops of the previous frame, kept where they are still on the skin [m], shape [L, 3].
 
     Returns:
-        Stops [m], shape [N, 3], and how many of them, the first, were kept in their order.
+        Stops [m], shape [N, 3], and how many of the first of them were kept, in their order.
     """
     middle = points.mean(0)
     rows = np.ascontiguousarray((points - middle).T, np.float32)
     size = np.square(rows).sum(0)
 
     def squares(places: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Squares of the distances of places to all points [m²], shape [N, M]."""
+        """Squared distances of places to all points [m²], shape [N, M]."""
         square = places @ rows
         square *= -2.0
         square += size
@@ -44,9 +43,9 @@ def spread_stops(
     chosen: list[int] = []
     least = np.full(len(points), np.inf, np.float32)
     if kept is not None and len(kept):
-        away = squares((kept - middle).astype(np.float32))
-        for nearest, square in zip(away.argmin(1), away, strict=True):
-            # A kept stop may have slid along with the skin, but not onto another stop's part.
+        kept_squares = squares((kept - middle).astype(np.float32))
+        for nearest, square in zip(kept_squares.argmin(1), kept_squares, strict=True):
+            # A kept stop may slide along with the skin, but not close to another stop.
             if square[nearest] < (0.5 * reach) ** 2 and least[nearest] > (0.8 * reach) ** 2:
                 chosen.append(int(nearest))
                 np.minimum(least, square, out=least)
@@ -56,66 +55,68 @@ def spread_stops(
         np.minimum(least, squares(rows[:, chosen[-1:]].T)[0], out=least)
     index = np.array(chosen)
     for _ in range(2):
-        own = squares(rows[:, index].T).argmin(0)
-        served = np.bincount(own, minlength=len(index))
-        means = np.stack([np.bincount(own, row, len(index)) for row in rows], axis=1)
-        means = (means / np.maximum(served, 1)[:, None]).astype(np.float32)
-        index = np.where(served > 0, squares(means).argmin(1), index)
-    places = np.sort(np.unique(index, return_index=True)[1])
-    return points[index[places]], int(np.count_nonzero(places < known))
+        nearest_stop = squares(rows[:, index].T).argmin(0)
+        covered = np.bincount(nearest_stop, minlength=len(index))
+        means = np.stack([np.bincount(nearest_stop, row, len(index)) for row in rows], axis=1)
+        means = (means / np.maximum(covered, 1)[:, None]).astype(np.float32)
+        index = np.where(covered > 0, squares(means).argmin(1), index)
+    unique = np.sort(np.unique(index, return_index=True)[1])
+    return points[index[unique]], int(np.count_nonzero(unique < known))
 
 
 def closed_tour(stops: Real, known: int = 0) -> NDArray[np.intp]:
-    """Order of stops on a short closed way: a first one, then 2-opt and or-opt, shape [N].
+    """Order of stops along a short closed tour, improved by 2-opt and or-opt, shape [N].
 
-    For 50 stops it is within some 5 % of the shortest.
+    For 50 stops the tour is within about 5 % of the shortest.
 
     Args:
-        stops: Places [m], shape [N, 3].
-        known: How many of them, the first, stand in the order of a tour already; the others are
-            put in where they lengthen it least. Else it goes to the nearest next.
+        stops: Positions [m], shape [N, 3].
+        known: Number of stops at the beginning that are already in the order of a tour; the others
+            are inserted where they lengthen it least. With fewer than 3, the initial tour goes to
+            the nearest unvisited stop each time.
     """
     count = len(stops)
     if count < 4:
         return np.arange(count)
-    apart = np.linalg.norm(stops[:, None] - stops[None], axis=2)
-    tour = _inserted(known, apart) if known > 2 else _nearest_next(apart)
+    distance = np.linalg.norm(stops[:, None] - stops[None], axis=2)
+    tour = _inserted(known, distance) if known > 2 else _nearest_next(distance)
     for _ in range(4 * count):
-        better = _uncrossed(tour, apart)
+        better = _uncrossed(tour, distance)
         if better is None:
-            better = _moved(tour, apart)
+            better = _moved(tour, distance)
         if better is None:
             break
         tour = better
     return tour
 
 
-def _nearest_next(apart: Real) -> NDArray[np.intp]:
-    """A tour that always goes on to the nearest stop left."""
+def _nearest_next(distance: Real) -> NDArray[np.intp]:
+    """A tour that always continues to the nearest unvisited stop."""
     order = [0]
-    left = np.ones(len(apart), bool)
-    left[0] = False
-    while len(order) < len(apart):
-        order.append(int(np.where(left, apart[order[-1]], np.inf).argmin()))
-        left[order[-1]] = False
+    unvisited = np.ones(len(distance), bool)
+    unvisited[0] = False
+    while len(order) < len(distance):
+        order.append(int(np.where(unvisited, distance[order[-1]], np.inf).argmin()))
+        unvisited[order[-1]] = False
     return np.array(order)
 
 
-def _inserted(known: int, apart: Real) -> NDArray[np.intp]:
-    """A known tour with each further stop put in where it lengthens it least."""
+def _inserted(known: int, distance: Real) -> NDArray[np.intp]:
+    """A known tour with each further stop inserted where it lengthens it least."""
     tour = np.arange(known)
-    for stop in range(known, len(apart)):
+    for stop in range(known, len(distance)):
         after = np.roll(tour, -1)
-        longer = apart[tour, stop] + apart[stop, after] - apart[tour, after]
+        longer = distance[tour, stop] + distance[stop, after] - distance[tour, after]
         tour = np.insert(tour, int(longer.argmin()) + 1, stop)
     return tour
 
 
-def _uncrossed(tour: NDArray[np.intp], apart: Real) -> NDArray[np.intp] | None:
-    """The tour with the part turned round that shortens it most (2-opt), None where none does."""
+def _uncrossed(tour: NDArray[np.intp], distance: Real) -> NDArray[np.intp] | None:
+    """Reverse the part of the tour that shortens it most (2-opt); None if no reversal does."""
     after = np.roll(tour, -1)
-    link = apart[tour, after]
-    change = apart[np.ix_(tour, tour)] + apart[np.ix_(after, after)] - np.add.outer(link, link)
+    link = distance[tour, after]
+    change = distance[np.ix_(tour, tour)] + distance[np.ix_(after, after)]
+    change -= np.add.outer(link, link)
     change[np.tril_indices(len(tour))] = 0.0
     first, second = divmod(int(change.argmin()), len(tour))
     if change[first, second] > -1e-9:
@@ -125,18 +126,17 @@ def _uncrossed(tour: NDArray[np.intp], apart: Real) -> NDArray[np.intp] | None:
     return result
 
 
-def _moved(tour: NDArray[np.intp], apart: Real) -> NDArray[np.intp] | None:
-    """The tour with the stop put elsewhere that shortens it most (or-opt), None where none does."""
+def _moved(tour: NDArray[np.intp], distance: Real) -> NDArray[np.intp] | None:
+    """Move the single stop that shortens the tour most (or-opt); None if no move does."""
     before, after = np.roll(tour, 1), np.roll(tour, -1)
-    gain = apart[before, tour] + apart[tour, after] - apart[before, after]
-    cost = apart[np.ix_(tour, tour)] + apart[np.ix_(tour, after)] - apart[tour, after]
+    gain = distance[before, tour] + distance[tour, after] - distance[before, after]
+    cost = distance[np.ix_(tour, tour)] + distance[np.ix_(tour, after)] - distance[tour, after]
     change = cost - gain[:, None]
     rows = np.arange(len(tour))
     change[rows, rows] = change[rows, rows - 1] = 0.0
-    which, where = divmod(int(change.argmin()), len(tour))
-    if change[which, where] > -1e-9:
+    source, target = divmod(int(change.argmin()), len(tour))
+    if change[source, target] > -1e-9:
         return None
-    stop = tour[which]
-    rest = np.delete(tour, which)
-    place = int(np.flatnonzero(rest == tour[where])[0])
-    return np.insert(rest, place + 1, stop)
+    rest = np.delete(tour, source)
+    place = int(np.flatnonzero(rest == tour[target])[0])
+    return np.insert(rest, place + 1, tour[source])

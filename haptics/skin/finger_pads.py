@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a hand's finger pads are, from the names of its bones and the shape of its skin."""
+"""Finds the finger pads of a hand from the names of its bones and the shape of its skin."""
 
 from __future__ import annotations
 
@@ -19,53 +19,53 @@ _NAMES = {
     "ring": r"ring|薬指",
     "little": r"little|pink|small|小指",
 }
-"""How bones of a finger are called: in OpenXR, WebXR, Rigify, Mixamo, VRM, MMD and by hand."""
+"""Finger names in bone names: of OpenXR, WebXR, Rigify, Mixamo, VRM, MMD and common usage."""
 _RIGHT = re.compile(r"(^|[^a-z])(r|right)([^a-z]|$)|右|right")
 _LEFT = re.compile(r"(^|[^a-z])(l|left)([^a-z]|$)|左|left")
 
 _MAX_JOINTS = 7
-"""A finger of more joints than this is none that is known here."""
-_TIP_PART = 0.7
-"""The last joint is a tip, inside the pad, if the skin ends within this part of the last bone."""
-_PAD_BEGINS = 0.2
-"""Where the pad begins, from the last joint to the skin's end."""
+"""A chain with more joints than this is not taken for a finger."""
+_TIP_FRACTION = 0.7
+"""The last joint is a tip inside the pad if the skin ends within this fraction of the last bone."""
+_PAD_START = 0.2
+"""Where the pad starts, as a fraction of the way from the last joint to the end of the skin."""
 _PAD_COSINE = 0.5
-"""Skin of the pad faces the palm's side within 60°."""
+"""The skin of a pad faces the palm side within 60°."""
 
 Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class FingerPads:
-    """The pads of a hand."""
+    """The finger pads of a hand."""
 
     vertices: NDArray[np.bool_]
     """Whether each vertex of the skin belongs to a pad, shape [V]."""
     fingers: tuple[str, ...]
-    """Fingers whose pads were found."""
+    """Names of the fingers whose pads were found."""
     finger_length: float
-    """Mean length of the fingers between the knuckle and the last joint [m]."""
+    """Mean length of the fingers from the knuckle to the last joint [m]."""
 
 
 def find_finger_pads(rig: HandRig) -> FingerPads:
-    """Find the pads of every finger that a hand has.
+    """Find the pads of all fingers of a hand.
 
-    A finger's bones are known by their names and ordered away from the hand; the last joint, or
-    the one before where the last lies in the tip, begins the last segment. Its skin is what its
-    bones carry most; the pad is the part of it that faces the palm's side. Which side that is
-    follows from the knuckles of index and little finger and whether the hand is a left or a right
-    one, or from where the thumb lies where that is not known; bending carries it along the fingers.
+    The bones of a finger are identified by name and ordered from the hand outward. The last segment
+    starts at the last joint, or at the one before if the last joint is in the fingertip. Its skin
+    is the vertices that its bones carry most; the pad is the part that faces the palm side. That
+    side follows from the knuckles of the index and little fingers and from whether the hand is left
+    or right, or from the thumb if that is unknown. It is rotated along with the bent fingers.
 
     Raises:
-        ValueError: No finger is found; the message says which names are understood.
+        ValueError: No finger was found; the message says which bone names are understood.
     """
     heads = rig.bone_rest[:, :3, 3]
     chains = _chains(rig, heads)
     if not chains:
         raise ValueError(
             "No finger was found among the bones "
-            f"{', '.join(rig.bone_names[:6])}, … Their names must hold thumb, index, middle, ring "
-            "or little (or pinky), with two bones or more to a finger."
+            f"{', '.join(rig.bone_names[:6])}, … Their names must contain thumb, index, middle, "
+            "ring or little (or pinky), and each finger needs at least two bones."
         )
     normals = _vertex_normals(rig.vertices, rig.faces)
     owner = _vertex_bones(rig)
@@ -75,7 +75,7 @@ def find_finger_pads(rig: HandRig) -> FingerPads:
     for name, chain in chains.items():
         last, direction, length = _last_segment(rig, heads, owner, chain)
         if name == "thumb":
-            # A thumb lies turned on its side: its pad faces the fingers as much as the palm's side.
+            # A thumb is rotated: its pad faces the fingers as much as the palm side.
             facing = palm + across
         else:
             facing = _turned(palm, ahead, direction)
@@ -85,24 +85,24 @@ def find_finger_pads(rig: HandRig) -> FingerPads:
         facing /= np.linalg.norm(facing)
         carried = np.isin(owner, chain[chain.index(last) :])
         along = (rig.vertices - heads[last]) @ direction
-        pad = carried & (along > _PAD_BEGINS * length) & (normals @ facing > _PAD_COSINE)
+        pad = carried & (along > _PAD_START * length) & (normals @ facing > _PAD_COSINE)
         if pad.any():
             found |= pad
             fingers.append(name)
     if not fingers:
         raise ValueError(
-            "The fingers' last bones carry no skin on the palm's side: bind the hand with weights "
-            "for its fingers, in a pose where it is open."
+            "The last bones of the fingers carry no skin on the palm side. Bind the hand with "
+            "weights for its fingers, in an open pose."
         )
     length = float(np.mean(lengths)) if lengths else 0.35 * float(np.ptp(rig.vertices, 0).max())
     return FingerPads(found, tuple(fingers), length)
 
 
 def _chains(rig: HandRig, heads: Real) -> dict[str, list[int]]:
-    """Bones of each finger, from the hand outward; fingers of one bone are left out."""
-    # A body's skeleton has two hands.
-    other = {"left": "right", "right": "left"}.get(rig.side, "-")
-    own = [i for i, name in enumerate(rig.bone_names) if _named_side(name) != other]
+    """Bones of each finger, from the hand outward; fingers with a single bone are left out."""
+    # The skeleton of a body has two hands.
+    other_side = {"left": "right", "right": "left"}.get(rig.side, "-")
+    own = [i for i, name in enumerate(rig.bone_names) if _named_side(name) != other_side]
     named = {
         finger: [i for i in own if re.search(pattern, rig.bone_names[i].lower())]
         for finger, pattern in _NAMES.items()
@@ -110,25 +110,25 @@ def _chains(rig: HandRig, heads: Real) -> dict[str, list[int]]:
     root = _wrist(rig, heads, {bone for bones in named.values() for bone in bones})
     chains = {}
     for finger, bones in named.items():
-        apart: list[int] = []
-        # Bones in one place are one joint here, as control bones beside deforming ones are.
+        joints: list[int] = []
+        # Several bones at the same point, such as a control bone and a deform bone, are one joint.
         for bone in bones:
-            if all(np.linalg.norm(heads[bone] - heads[other]) > 1e-4 for other in apart):
-                apart.append(bone)
-        if 2 <= len(apart) <= _MAX_JOINTS:
-            chains[finger] = _along_finger(heads, apart, root)
+            if all(np.linalg.norm(heads[bone] - heads[joint]) > 1e-4 for joint in joints):
+                joints.append(bone)
+        if 2 <= len(joints) <= _MAX_JOINTS:
+            chains[finger] = _along_finger(heads, joints, root)
     return chains
 
 
 def _along_finger(heads: Real, bones: list[int], root: Real) -> list[int]:
-    """The bones in the order of the shortest way through all of them, outward.
+    """Order bones along the shortest path through all of them, from the hand outward.
 
-    Imported hands often have bones without parents, so only places count.
+    Uses only positions, because bones of imported hands often have no parents.
     """
     places = heads[bones]
-    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
-    ways = (way for way in permutations(range(len(bones))) if way[0] < way[-1])
-    best = min(ways, key=lambda way: sum(apart[i, j] for i, j in pairwise(way)))
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    paths = (path for path in permutations(range(len(bones))) if path[0] < path[-1])
+    best = min(paths, key=lambda path: sum(distance[i, j] for i, j in pairwise(path)))
     inner, outer = (np.linalg.norm(places[best[end]] - root) for end in (0, -1))
     return [bones[i] for i in (best if inner <= outer else reversed(best))]
 
@@ -136,23 +136,23 @@ def _along_finger(heads: Real, bones: list[int], root: Real) -> list[int]:
 def _last_segment(
     rig: HandRig, heads: Real, owner: NDArray[np.intp], chain: list[int]
 ) -> tuple[int, Real, float]:
-    """Joint that a finger's last segment begins with, where it points, and its length [m]."""
+    """First joint of a finger's last segment, its direction, and its length [m]."""
     direction = heads[chain[-1]] - heads[chain[-2]]
     bone = float(np.linalg.norm(direction))
     direction = direction / bone
     skin = rig.vertices[np.isin(owner, chain[-2:])]
-    # Skin off the finger's axis does not say where the finger ends.
+    # Only skin near the finger's axis shows where the finger ends.
     offset = skin - heads[chain[-1]]
-    beside = np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1)
-    ahead = (offset @ direction)[beside < max(bone, 1e-3)]
+    off_axis = np.linalg.norm(offset - np.outer(offset @ direction, direction), axis=1)
+    ahead = (offset @ direction)[off_axis < max(bone, 1e-3)]
     end = float(ahead.max(initial=0.0))
-    if len(chain) > 2 and end < _TIP_PART * bone:
+    if len(chain) > 2 and end < _TIP_FRACTION * bone:
         return chain[-2], direction, bone + end
     return chain[-1], direction, end
 
 
 def _hand_frame(rig: HandRig, heads: Real, chains: dict[str, list[int]]) -> tuple[Real, Real, Real]:
-    """Unit vectors: along the fingers, out of the palm, and from the thumb's side across."""
+    """Unit vectors: along the fingers, out of the palm, and across it, away from the thumb."""
     straight = [chain for name, chain in chains.items() if name != "thumb"]
     if len(straight) >= 2:
         knuckles = [heads[chain[_knuckle(chain)]] for chain in straight]
@@ -176,16 +176,16 @@ def _hand_frame(rig: HandRig, heads: Real, chains: dict[str, list[int]]) -> tupl
 
 
 def _knuckle(chain: list[int]) -> int:
-    """Place in a finger's chain of the joint where it leaves the palm, as far as one can tell."""
+    """Index of the knuckle in the chain of a finger: a chain of five includes the metacarpal."""
     return 1 if len(chain) >= 5 else 0
 
 
 def _wrist(rig: HandRig, heads: Real, fingers: set[int]) -> Real:
-    """A point on the arm's side of the knuckles."""
-    other = {"left": "right", "right": "left"}.get(rig.side, "-")
+    """A point on the arm side of the knuckles."""
+    other_side = {"left": "right", "right": "left"}.get(rig.side, "-")
     for pattern in (r"wrist|手首", r"hand"):
         for index, name in enumerate(rig.bone_names):
-            if index in fingers or _named_side(name) == other:
+            if index in fingers or _named_side(name) == other_side:
                 continue
             if re.search(pattern, name.lower()):
                 return np.asarray(heads[index])
@@ -194,7 +194,7 @@ def _wrist(rig: HandRig, heads: Real, fingers: set[int]) -> Real:
 
 
 def _side(rig: HandRig) -> str:
-    """Whether a hand is a left or a right one, empty where it is not known."""
+    """``left`` or ``right``, or an empty string if unknown."""
     if rig.side:
         return rig.side
     sides = [_named_side(name) for name in rig.bone_names]
@@ -203,14 +203,14 @@ def _side(rig: HandRig) -> str:
 
 
 def _named_side(name: str) -> str:
-    """The side that a bone's name tells, empty where it tells none."""
+    """The side named in a bone name, or an empty string."""
     words = re.sub(r"([a-z])([A-Z])", r"\1 \2", name).lower()
     right, left = bool(_RIGHT.search(words)), bool(_LEFT.search(words))
     return "" if right == left else "right" if right else "left"
 
 
 def _turned(vector: Real, start: Real, end: Real) -> Real:
-    """A vector turned by the least rotation that brings one unit vector to another."""
+    """Rotate a vector by the smallest rotation that takes one unit vector to another."""
     axis = np.cross(start, end)
     cosine = float(start @ end)
     if cosine < -0.999:
@@ -221,7 +221,7 @@ def _turned(vector: Real, start: Real, end: Real) -> Real:
 
 
 def _vertex_bones(rig: HandRig) -> NDArray[np.intp]:
-    """The bone that carries each vertex of the skin most, shape [V]."""
+    """The bone with the largest weight at each vertex of the skin, shape [V]."""
     corners = rig.tetrahedra[rig.vertex_tetrahedron]
     share = rig.vertex_weights[:, :, None] * rig.node_weights[corners]
     total = np.zeros((len(rig.vertices), len(rig.bone_names)))
@@ -231,7 +231,7 @@ def _vertex_bones(rig: HandRig) -> NDArray[np.intp]:
 
 
 def _vertex_normals(vertices: Real, faces: NDArray[np.integer]) -> Real:
-    """Unit normals, of the faces about each vertex by their areas, shape [V, 3]."""
+    """Unit normals of vertices, weighted by face area, shape [V, 3]."""
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.zeros_like(vertices)

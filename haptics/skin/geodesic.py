@@ -14,17 +14,17 @@ def geodesic_distances(
 ) -> Real:
     """Distance of each vertex along a mesh from the nearest source [m], shape [V].
 
-    Across a triangle, unfolded into a plane, the distances at two corners give that at the third:
-    where both are reached from the same source, as from one point (Novotni and Klein, "Computing
-    geodesic distances on triangular meshes", WSCG 2002), else as by a straight front (Kimmel and
-    Sethian, PNAS 95, 1998). This is done for all triangles at once until nothing gets less. On a
-    plane it is exact from one source; on a sphere of 2,562 vertices it is .3 % off on average and
-    1.3 % at most.
+    In a triangle unfolded into a plane, the distances at two corners give that at the third. If
+    both come from the same source, a point source is assumed (Novotni and Klein, "Computing
+    geodesic distances on triangular meshes", WSCG 2002), otherwise a straight front (Kimmel and
+    Sethian, PNAS 95, 1998). All triangles are updated at once until no distance decreases. The
+    result is exact for one source on a plane; on a sphere of 2,562 vertices the error is 0.3 % on
+    average and 1.3 % at most.
 
     Args:
         vertices: Positions [m], shape [V, 3].
         faces: Triangles, shape [F, 3].
-        sources: Vertices at distance 0, shape [V].
+        sources: Whether each vertex is at distance 0, shape [V].
 
     Returns:
         Distances, infinite where no source can be reached.
@@ -33,7 +33,7 @@ def geodesic_distances(
         ValueError: There is no source.
     """
     if not sources.any():
-        raise ValueError("Distances along a surface need a vertex to start from.")
+        raise ValueError("Distances along a surface need at least one vertex to start from.")
     distance = np.where(sources, 0.0, np.inf)
     origin = np.arange(len(vertices))
     corners = np.concatenate([np.roll(np.asarray(faces), -shift, axis=1) for shift in range(3)])
@@ -41,10 +41,10 @@ def geodesic_distances(
     base = np.linalg.norm(vertices[right] - vertices[left], axis=1)
     up_left = np.linalg.norm(vertices[top] - vertices[left], axis=1)
     up_right = np.linalg.norm(vertices[top] - vertices[right], axis=1)
-    sound = base > 0.0
-    left, right, top, base = left[sound], right[sound], top[sound], base[sound]
-    up_left, up_right = up_left[sound], up_right[sound]
-    # The unfolded triangle: left at the origin, right on the X axis, top above it.
+    valid = base > 0.0
+    left, right, top, base = left[valid], right[valid], top[valid], base[valid]
+    up_left, up_right = up_left[valid], up_right[valid]
+    # In the unfolded triangle, left is at the origin, right on the X axis and top above it.
     top_x = (base**2 + up_left**2 - up_right**2) / (2.0 * base)
     top_y = np.sqrt(np.maximum(up_left**2 - top_x**2, 0.0))
     while True:
@@ -65,7 +65,10 @@ def geodesic_distances(
 
 
 def _from_point(a: Real, b: Real, base: Real, top_x: Real, top_y: Real) -> Real:
-    """Distance at the top of triangles from the point below that is a and b off; NaN beside it."""
+    """Distance of the top from a point source below the base, at distances a and b from its ends.
+
+    NaN where the straight line from the source does not cross the base.
+    """
     x = (base**2 + a**2 - b**2) / (2.0 * base)
     square = a**2 - x**2
     y = -np.sqrt(np.maximum(square, 0.0))
@@ -75,7 +78,7 @@ def _from_point(a: Real, b: Real, base: Real, top_x: Real, top_y: Real) -> Real:
 
 
 def _from_front(a: Real, b: Real, base: Real, top_x: Real, top_y: Real) -> Real:
-    """Distance at the top of triangles behind a straight front; NaN where it comes from beside."""
+    """Distance of the top from a straight front; NaN if the front does not arrive by the base."""
     slope = (b - a) / base
     rise = np.sqrt(np.maximum(1.0 - slope**2, 0.0))
     crossing = top_x - top_y * slope / rise

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Smoothing over neighboring ghosts of a hand's skin that keeps both force and even pressure."""
+"""Smoothing over neighboring ghosts of the skin that preserves force and uniform pressure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _REACH = 2.5
-"""How far neighbors count, over the standard deviation of the Gaussian."""
+"""Maximum distance of neighbors, in standard deviations of the Gaussian."""
 _BALANCING_SWEEPS = 30
 
 Real = NDArray[np.float64]
@@ -18,17 +18,17 @@ Real = NDArray[np.float64]
 class GhostSmoothing:
     """Spreads a pressure over the skin by a Gaussian of one ghost spacing.
 
-    The kernel is balanced (Sinkhorn) so that ∫ p dA is kept and an even pressure stays as it is, at
-    the skin's edges too. Ghosts whose normals differ by more than a right angle are no neighbors:
-    what presses on a finger's pad is not felt on its nail.
+    The kernel is balanced (Sinkhorn) so that it preserves ∫ p dA and leaves a uniform pressure
+    unchanged, also at the edges of the skin. Ghosts whose normals differ by more than 90° are not
+    neighbors: pressure on a finger pad is not felt on the nail.
 
-    Neighbors are found once, for the pose in which a hand is first seen, in about 0.1 s for 2,000
-    ghosts; skin keeps its neighbors when it moves.
+    Neighbors are found once, in the hand's first pose, in about 0.1 s for 2,000 ghosts; skin keeps
+    its neighbors when it moves.
 
     Args:
-        positions: Where the ghosts are [m], shape [G, 3].
+        positions: Positions of the ghosts [m], shape [G, 3].
         normals: Their outward unit normals, shape [G, 3].
-        areas: Skin that each stands for [m²], shape [G]; ghosts of none take no part.
+        areas: Area of skin that each represents [m²], shape [G]; ghosts with 0 are left out.
     """
 
     def __init__(self, positions: Real, normals: Real, areas: Real) -> None:
@@ -50,7 +50,7 @@ class GhostSmoothing:
             balance = np.sqrt(balance / reached)
         self._second = surface[second]
         self._factor = weight * balance[first] * balance[second] * area[second]
-        # What rounding and an unfinished balance leave of the force, each ghost makes up itself.
+        # Each ghost's own factor corrects the force error left by rounding and few sweeps.
         kept = np.bincount(second, self._factor * area[first], minlength=len(surface)) / area
         own = first == second
         self._factor[own] += (1.0 - kept)[first[own]]
@@ -58,11 +58,11 @@ class GhostSmoothing:
         self._rows = surface
         self._buffer = np.empty(len(first))
 
-    def applied(self, pressures: Real) -> Real:
-        """The pressures smoothed [Pa], shape [G]; 0 for ghosts that take no part."""
+    def smooth(self, pressures: Real) -> Real:
+        """Smoothed pressures [Pa], shape [G]; 0 for ghosts without area."""
         result = np.zeros(self._count)
         if len(self._rows) and pressures.any():
-            # One buffer for all frames: fresh memory of this size costs more than the sums.
+            # One buffer for all frames, because allocating it costs more than the sums.
             np.take(pressures, self._second, out=self._buffer, mode="clip")
             self._buffer *= self._factor
             result[self._rows] = np.add.reduceat(self._buffer, self._starts)
@@ -72,10 +72,10 @@ class GhostSmoothing:
 def _pairs(
     positions: Real, normals: Real, reach: float
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Real]:
-    """Neighbors on the same side of the skin, each pair both ways and each ghost with itself.
+    """Pairs of neighbors on the same side of the skin, in both orders and each ghost with itself.
 
     Returns:
-        First, second and the square of their distance [m²], sorted by the first, shape [N].
+        First index, second index and squared distance [m²], sorted by the first, shape [N].
     """
     cell = ((positions - positions.min(0)) / reach).astype(np.int64) + 1
     size = cell.max(0) + 2
@@ -84,9 +84,9 @@ def _pairs(
     ranked = key[order]
     found = []
     for step in product((-1, 0, 1), repeat=3):
-        there = key + (step[0] * size[1] + step[1]) * size[2] + step[2]
-        low = np.searchsorted(ranked, there, "left")
-        count = np.searchsorted(ranked, there, "right") - low
+        neighbor_key = key + (step[0] * size[1] + step[1]) * size[2] + step[2]
+        low = np.searchsorted(ranked, neighbor_key, "left")
+        count = np.searchsorted(ranked, neighbor_key, "right") - low
         first = np.repeat(np.arange(len(key)), count)
         place = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
         second = order[place + np.repeat(low, count)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From contact forces on a hand's ghosts to the pressure that an array should let it feel.
+"""Turns contact forces on the ghosts of a hand into the pressure that an array should produce.
 
 After section IV-A of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
 WHC 2021 (equations 6 and 7), and Jang and Park, IEEE Trans. Haptics 13(1), 2020
@@ -19,21 +19,22 @@ from numpy.typing import ArrayLike, NDArray
 from .ghost_smoothing import GhostSmoothing
 
 GAIN = 0.04
-"""Focal pressure for each pascal of light contact: 30 kPa of clay become 0.7 kPa."""
+"""Focal pressure per contact pressure in light contact; with the default ceiling, 30 kPa of clay
+give 0.7 kPa."""
 CEILING = 1000.0
-"""Focal pressure that is approached under hard contact [Pa], about what one focus can have."""
+"""Focal pressure approached in hard contact [Pa], about the maximum of a single focus."""
 FADE_TIME = 0.030
-"""Time in which the field follows the contact [s]."""
+"""Time constant with which the field follows the contact [s]."""
 
 Real = NDArray[np.float64]
 
 
 class GhostContacts(Protocol):
-    """What is read of a solver's contacts: ghosts of a hand, always in the same order."""
+    """Contacts of a hand as a solver gives them: one entry per ghost, always in the same order."""
 
     @property
     def positions(self) -> Any:
-        """Where the ghosts are [m], shape [G, 3]."""
+        """Positions of the ghosts [m], shape [G, 3]."""
 
     @property
     def normals(self) -> Any:
@@ -41,7 +42,7 @@ class GhostContacts(Protocol):
 
     @property
     def areas(self) -> Any:
-        """Skin that each stands for [m²], zero inside, shape [G]."""
+        """Area of skin that each represents [m²], zero inside the hand, shape [G]."""
 
     @property
     def forces(self) -> Any:
@@ -51,17 +52,17 @@ class GhostContacts(Protocol):
 def focal_pressure(
     contact_pressure: ArrayLike, *, gain: float = GAIN, ceiling: float = CEILING
 ) -> Real:
-    """What an array should give for a pressure of clay: c (1 − e^{−g p / c}) [Pa].
+    """Map a contact pressure p to a focal pressure: c (1 − e^{−g p / c}) [Pa].
 
-    Focal pressures here and everywhere are peak values of the sound at full modulation. Clay
-    presses with tens of kilopascals, an array with about one. The map rises throughout, by
-    `gain` for the lightest touch and ever less towards `ceiling`, so that harder contact is always
-    felt as harder and nothing is asked of the array that it cannot give.
+    Focal pressures are always peak values of the sound at full modulation. Clay presses with tens
+    of kilopascals, an array with about one. The map increases everywhere, with slope `gain` for the
+    lightest touch and flattening toward `ceiling`: harder contact always feels harder, and the
+    array is never driven beyond what it can produce.
 
     Args:
         contact_pressure: Pressure of the clay on the skin [Pa], at least 0.
-        gain: Focal over contact pressure for light contact.
-        ceiling: Focal pressure never exceeded [Pa].
+        gain: Focal pressure per contact pressure in light contact.
+        ceiling: Upper limit of the focal pressure [Pa].
     """
     pressure = np.asarray(contact_pressure, np.float64)
     return np.asarray(-ceiling * np.expm1(pressure * (-gain / ceiling)))
@@ -71,30 +72,29 @@ def focal_pressure(
 class PressureField:
     """Target pressure p* on the skin that faces an array.
 
-    *Limitations.* A ghost counts as facing the array by its normal alone: a finger's shadow on
-    what lies behind it is not looked at. Sound that is bent or thrown back by the hand is not
-    modelled anywhere.
+    *Limitations.* Whether a ghost faces the array is decided by its normal alone, ignoring skin in
+    between that shadows it. Diffraction and reflection of sound by the hand are not modeled.
     """
 
     positions: Real
-    """Ghosts of the skin that face the array [m], shape [F, 3]."""
+    """Ghosts that face the array [m], shape [F, 3]."""
     pressures: Real
-    """Focal pressure wanted at each [Pa], shape [F]."""
+    """Target focal pressure at each [Pa], shape [F]."""
     weights: Real
     """Perceptual weight α of each, shape [F]."""
     contact_pressures: Real
-    """Pressure of the clay on each, smoothed [Pa], shape [F]."""
+    """Smoothed pressure of the clay on each [Pa], shape [F]."""
     areas: Real
-    """Skin that each stands for [m²], shape [F]."""
+    """Area of skin that each represents [m²], shape [F]."""
     ghosts: NDArray[np.intp]
     """Index of each among all ghosts of its hand, shape [F]."""
     dropped: int = 0
-    """Ghosts left out for values that are not finite."""
+    """Number of ghosts left out because of values that are not finite."""
     state: Real = field(default_factory=lambda: np.zeros(0))
-    """Smoothed contact pressure of all ghosts [Pa], shape [G], which the next frame starts from;
+    """Smoothed contact pressure of all ghosts [Pa], shape [G], from which the next frame continues;
     empty for a joined field."""
     smoothing: GhostSmoothing | None = None
-    """Neighbors among the ghosts, found with the first frame."""
+    """Smoothing kernel over the ghosts, built in the first frame."""
 
     @classmethod
     def from_contacts(
@@ -110,24 +110,24 @@ class PressureField:
     ) -> PressureField:
         """Build the field of one frame.
 
-        The normal part of each ghost's force over its area, max(−n · f, 0) / A, is spread over
-        about one ghost spacing along the skin, which keeps its integral; left out where the skin
-        does not face the array; followed with a time constant of 30 ms, exactly for any time step;
-        and turned into focal pressure by `focal_pressure`.
+        The normal pressure of each ghost, max(−n · f, 0) / A, is smoothed over about one ghost
+        spacing along the skin, which preserves its integral. It is set to 0 where the skin faces
+        away from the array, low-pass filtered with a time constant of 30 ms (exact for any time
+        step), and converted by `focal_pressure`.
 
         Args:
-            contacts: The ghosts of one hand. Force on ghosts inside the hand counts for the nearest
-                on its surface.
-            toward: Where the array is [m], shape [3].
-            weights: Perceptual weight α of every ghost, shape [G]; 1 where not given.
-            previous: The field of the frame before; without it the field starts at its final value.
-            dt: Time since then [s].
-            gain: Focal over contact pressure for light contact.
-            ceiling: Focal pressure never exceeded [Pa].
+            contacts: The ghosts of one hand. The force on a ghost inside the hand is added to the
+                nearest ghost on the surface.
+            toward: Position of the array [m], shape [3].
+            weights: Perceptual weight α of every ghost, shape [G]; 1 if None.
+            previous: The field of the previous frame; None starts at the final value.
+            dt: Time since the previous frame [s].
+            gain: Focal pressure per contact pressure in light contact.
+            ceiling: Upper limit of the focal pressure [Pa].
 
         Raises:
-            ValueError: Arrays do not fit each other, the ghosts are not those of `previous`, or an
-                option is out of its range.
+            ValueError: Shapes do not match, the ghosts are not those of `previous`, or an option is
+                out of range.
         """
         positions = np.asarray(contacts.positions, np.float64)
         normals = np.asarray(contacts.normals, np.float64)
@@ -146,35 +146,35 @@ class PressureField:
                 raise ValueError(f"{name} is {value!r}; it must be a number greater than 0.")
         if previous is not None:
             if dt is None or not (math.isfinite(dt) and dt >= 0.0):
-                raise ValueError(f"dt is {dt!r}; beside a previous field it must be at least 0.")
+                raise ValueError(f"dt is {dt!r}; with a previous field it must be at least 0.")
             if len(previous.state) != count:
                 raise ValueError(
-                    f"The previous field is of {len(previous.state)} ghosts, the contacts are of "
-                    f"{count}: a hand that was bound again starts without a previous field."
+                    f"The previous field has {len(previous.state)} ghosts, the contacts have "
+                    f"{count}. After a hand is bound again, start without a previous field."
                 )
-        fine = _finite_rows(positions, normals, areas[:, None], forces)
-        dropped = int(count - np.count_nonzero(fine))
+        finite = _finite_rows(positions, normals, areas[:, None], forces)
+        dropped = int(count - np.count_nonzero(finite))
         if dropped:
             positions, normals, forces = (
-                np.where(fine[:, None], a, 0.0) for a in (positions, normals, forces)
+                np.where(finite[:, None], a, 0.0) for a in (positions, normals, forces)
             )
-            areas = np.where(fine, areas, 0.0)
+            areas = np.where(finite, areas, 0.0)
         smoothing = previous.smoothing if previous is not None else None
         if smoothing is None:
             smoothing = GhostSmoothing(positions, normals, areas)
-        pressed = smoothing.applied(_normal_pressure(positions, normals, areas, forces))
+        smooth = smoothing.smooth(_normal_pressure(positions, normals, areas, forces))
         facing = areas > 0.0
         offset = np.asarray(toward, np.float64) - positions
         facing &= np.einsum("gi,gi->g", offset, normals) > 0.0
-        wanted = np.where(facing, pressed, 0.0)
+        target = np.where(facing, smooth, 0.0)
         if previous is None:
-            state = wanted
+            state = target
         else:
             assert dt is not None
-            state = previous.state - (wanted - previous.state) * math.expm1(-dt / FADE_TIME)
-            state = np.where(fine, state, previous.state) if dropped else state
-        # Skin that has just turned away fades as what has just been let go does.
-        shown = np.flatnonzero((facing | (state > 1.0)) & fine)
+            state = previous.state - (target - previous.state) * math.expm1(-dt / FADE_TIME)
+            state = np.where(finite, state, previous.state) if dropped else state
+        # Skin that has just turned away fades out, like contact that has just ended.
+        shown = np.flatnonzero((facing | (state > 1.0)) & finite)
         return cls(
             positions=positions[shown],
             pressures=focal_pressure(state[shown], gain=gain, ceiling=ceiling),
@@ -184,15 +184,15 @@ class PressureField:
             ghosts=shown,
             dropped=dropped,
             state=state,
-            # Neighbors found while some ghosts were missing must be found again.
+            # A kernel built while some ghosts were left out must be built again.
             smoothing=None if dropped and previous is None else smoothing,
         )
 
     @classmethod
     def joined(cls, fields: Sequence[PressureField]) -> PressureField:
-        """One field of several hands, for an array that serves them all.
+        """Join the fields of several hands in front of the same array.
 
-        It cannot be the previous of another: each hand continues from its own.
+        The result cannot be used as a previous field; each hand continues from its own.
         """
         if not fields:
             nothing = np.zeros(0)
@@ -216,7 +216,7 @@ class PressureField:
 
 
 def _normal_pressure(positions: Real, normals: Real, areas: Real, forces: Real) -> Real:
-    """Pressure on every ghost of the surface [Pa], 0 inside, shape [G]."""
+    """Normal pressure on each surface ghost [Pa], 0 for ghosts inside the hand, shape [G]."""
     surface = areas > 0.0
     inside = np.flatnonzero(~surface)
     inside = inside[(forces[inside] != 0.0).any(1)]
@@ -224,15 +224,15 @@ def _normal_pressure(positions: Real, normals: Real, areas: Real, forces: Real) 
         forces = forces.copy()
         outer = np.flatnonzero(surface)
         for ghost in inside:
-            away = np.square(positions[outer] - positions[ghost]).sum(1)
-            forces[outer[away.argmin()]] += forces[ghost]
-    pressed = np.maximum(-np.einsum("gi,gi->g", normals, forces), 0.0)
-    return np.asarray(np.where(surface, pressed, 0.0) / np.where(surface, areas, 1.0))
+            square = np.square(positions[outer] - positions[ghost]).sum(1)
+            forces[outer[square.argmin()]] += forces[ghost]
+    normal_force = np.maximum(-np.einsum("gi,gi->g", normals, forces), 0.0)
+    return np.asarray(np.where(surface, normal_force, 0.0) / np.where(surface, areas, 1.0))
 
 
 def _finite_rows(*arrays: Real) -> NDArray[np.bool_]:
-    """Which rows hold finite values only, shape [G]."""
-    # Sums are finite if all they add up is, which is nearly always, and far quicker to find out.
+    """Whether all values in each row are finite, shape [G]."""
+    # A finite sum means that all values are finite, and is much faster than checking each.
     if np.isfinite(sum(float(array.sum()) for array in arrays)):
         return np.ones(len(arrays[0]), bool)
     return np.logical_and.reduce([np.isfinite(array).all(1) for array in arrays])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Perceptual weights: how much touch counts on each part of a hand.
+"""Perceptual weights: how sensitive each part of a hand is to touch.
 
 The paper sets α = 1 at the finger pads and lets it decay with the distance from the closest pad,
 "following roughly mechanoreceptor densities" (Barreiro, Torres, Otaduy, WHC 2021, section IV-B).
@@ -29,33 +29,35 @@ Real = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ReceptorDensity:
-    """Density of mechanoreceptors against the distance from the nearest finger pad.
+    """Density of mechanoreceptors as a function of the distance d from the nearest finger pad.
 
-    Over that at the pads it is α(d) = f + (1 − f) sech(d / L): 1 at the pads with no kink, towards
-    the palm's share f. L is such that α has, on average over the length of a finger, that of the
-    finger's main part.
+    Relative to the pads it is α(d) = f + (1 − f) sech(d / L): smooth, 1 at the pads, and decaying
+    to f, the density of the palm. L is chosen so that the mean of α over the length of a finger is
+    the density of the finger.
 
     Raises:
-        ValueError: The densities do not fall from fingertip to finger to palm.
+        ValueError: The densities do not decrease from fingertip to finger to palm.
     """
 
     fingertip: float
-    """Touch fibres in the skin of a finger's pad [1/cm²]."""
+    """Tactile fibers in the skin of a finger pad [1/cm²]."""
     finger: float
-    """In the rest of the finger."""
+    """Tactile fibers in the rest of the finger [1/cm²]."""
     palm: float
-    """In the palm."""
+    """Tactile fibers in the palm [1/cm²]."""
 
     def __post_init__(self) -> None:
         if not (self.fingertip > self.finger > self.palm > 0.0 and math.isfinite(self.fingertip)):
             raise ValueError(
-                "Receptor densities must fall from fingertip to finger to palm and be above 0, "
+                "Receptor densities must decrease from fingertip to finger to palm and be above 0, "
                 f"not {self.fingertip!r}, {self.finger!r}, {self.palm!r}."
             )
-        # Of sech alone the mean over a finger is at most 1: the two always meet.
 
     def decay_length(self, finger_length: float) -> float:
-        """The length L for a finger of a length from pad to knuckle [m]."""
+        """The length L [m] for a given distance from pad to knuckle [m].
+
+        A solution always exists: as L grows, the mean of sech rises from 0 to 1.
+        """
         floor = self.palm / self.fingertip
         wanted = (self.finger / self.fingertip - floor) / (1.0 - floor)
         low, high = 1e-3 * finger_length, 1e3 * finger_length
@@ -66,7 +68,7 @@ class ReceptorDensity:
         return high
 
     def weights(self, distances: ArrayLike, finger_length: float) -> Real:
-        """α at distances from the nearest pad [m], of the same shape; f where infinite."""
+        """α at distances from the nearest pad [m], same shape; f at infinite distance."""
         floor = self.palm / self.fingertip
         ratio = np.asarray(distances, np.float64) / self.decay_length(finger_length)
         return np.asarray(floor + (1.0 - floor) / np.cosh(np.minimum(ratio, 300.0)))
@@ -87,7 +89,7 @@ class ReceptorDensity:
 
 @dataclass(frozen=True, eq=False)
 class SkinSensitivity:
-    """Perceptual weights of a bound hand, found once.
+    """Perceptual weights of a bound hand, computed once.
 
     Example:
         >>> skin = SkinSensitivity.of(rig)
@@ -95,7 +97,7 @@ class SkinSensitivity:
     """
 
     vertices: Real
-    """Weight α of each vertex of the skin, for a color layer, shape [V]."""
+    """Weight α of each vertex of the skin, for a color attribute, shape [V]."""
     ghosts: Real
     """Weight α of each ghost, shape [G]."""
     distances: Real
@@ -105,27 +107,27 @@ class SkinSensitivity:
 
     @classmethod
     def of(cls, rig: HandRig, density: ReceptorDensity | None = None) -> SkinSensitivity:
-        """Find the weights for any hand whose bones are named after fingers.
+        """Compute the weights for any hand whose bones are named after fingers.
 
         Args:
             rig: The bound hand.
-            density: Densities that the weights follow, the preset's where not given.
+            density: Receptor densities; the preset if None.
 
         Raises:
-            ValueError: No finger is found; the message says which names are understood.
+            ValueError: No finger was found; the message says which bone names are understood.
         """
         density = density or ReceptorDensity.preset()
         pads = find_finger_pads(rig)
         distances = geodesic_distances(rig.vertices, rig.faces, pads.vertices)
         vertices = density.weights(distances, pads.finger_length)
-        ghosts = _on_surface(rig.vertices, rig.faces, vertices, rig.carried_ghosts(rig.nodes))
+        ghosts = _interpolated(rig.vertices, rig.faces, vertices, rig.carried_ghosts(rig.nodes))
         return cls(vertices, ghosts, distances, pads)
 
 
-def _on_surface(vertices: Real, faces: NDArray[np.integer], values: Real, points: Real) -> Real:
-    """Values of a surface at the places next to points, linear over triangles, shape [P].
+def _interpolated(vertices: Real, faces: NDArray[np.integer], values: Real, points: Real) -> Real:
+    """Values at the surface points nearest to `points`, linear over triangles, shape [P].
 
-    Triangles about the nearest vertex are tried, which finds the place where triangles are even.
+    Only triangles around the nearest vertex are tried, which is enough for regular triangles.
     """
     corners = np.asarray(faces).ravel()
     order = np.argsort(corners, kind="stable")
@@ -144,10 +146,10 @@ def _on_surface(vertices: Real, faces: NDArray[np.integer], values: Real, points
         nearest = score.argmax(1)
         triangles = np.asarray(faces)[around[nearest]]
         count = triangles.shape[1]
-        shares, away = _closest(
+        shares, square = _closest(
             np.repeat(part, count, axis=0), vertices[triangles].reshape(-1, 3, 3)
         )
-        best = away.reshape(-1, count).argmin(1)
+        best = square.reshape(-1, count).argmin(1)
         rows = np.arange(len(part))
         chosen = shares.reshape(-1, count, 3)[rows, best]
         result[begin : begin + _CHUNK] = (chosen * values[triangles[rows, best]]).sum(1)
@@ -155,7 +157,7 @@ def _on_surface(vertices: Real, faces: NDArray[np.integer], values: Real, points
 
 
 def _closest(points: Real, triangles: Real) -> tuple[Real, Real]:
-    """Barycentric coordinates of the place in each triangle next to its point, and distance²."""
+    """Barycentric coordinates of the closest point in each triangle, and squared distance [m²]."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     size = np.maximum(np.square(normal).sum(1), 1e-30)
@@ -173,9 +175,9 @@ def _closest(points: Real, triangles: Real) -> tuple[Real, Real]:
         start, edge = triangles[:, first], triangles[:, second] - triangles[:, first]
         length = np.maximum(np.square(edge).sum(1), 1e-30)
         along = np.clip(((points - start) * edge).sum(1) / length, 0.0, 1.0)
-        away = np.square(start + along[:, None] * edge - points).sum(1)
-        nearer = away < best
-        best = np.where(nearer, away, best)
+        square = np.square(start + along[:, None] * edge - points).sum(1)
+        nearer = square < best
+        best = np.where(nearer, square, best)
         shares[nearer] = 0.0
         shares[nearer, first] = 1.0 - along[nearer]
         shares[nearer, second] = along[nearer]

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
+
+from ..core.preset_files import check_keys, preset_names, preset_path, read_tables
 
 PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "materials"
 """Where the materials are that ship with the project."""
@@ -157,7 +158,7 @@ class Material:
     @classmethod
     def preset_names(cls) -> list[str]:
         """Names that `preset` knows, sorted."""
-        return sorted(path.stem for path in PRESET_FOLDER.glob("*.toml"))
+        return preset_names(PRESET_FOLDER)
 
     @classmethod
     def preset(cls, name: str) -> Material:
@@ -166,10 +167,7 @@ class Material:
         Raises:
             ValueError: No such preset, or its file is damaged; the message says which are there.
         """
-        if name not in cls.preset_names():
-            known = ", ".join(cls.preset_names())
-            raise ValueError(f"There is no material preset {name!r}. There are: {known}.")
-        return cls.from_toml(PRESET_FOLDER / f"{name}.toml")
+        return cls.from_toml(preset_path(PRESET_FOLDER, name, "material"))
 
     @classmethod
     def from_toml(cls, path: Path) -> Material:
@@ -179,19 +177,10 @@ class Material:
             ValueError: The file is not valid TOML, or a key is unknown or has no number.
             OSError: The file cannot be read.
         """
-        try:
-            table = tomllib.loads(path.read_text(encoding="utf-8")).get("material")
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path.name} is not a valid TOML file: {error}.") from error
-        if not isinstance(table, dict):
-            raise ValueError(f"{path.name} has no [material] table.")
-        known = {each.name for each in MATERIAL_FIELDS}
+        table = read_tables(path, "material")["material"]
+        check_keys(path, table, {each.name for each in MATERIAL_FIELDS})
         values: dict[str, float] = {}
         for key, value in table.items():
-            if key not in known:
-                raise ValueError(
-                    f"{path.name}: unknown key {key!r}. Known keys: {', '.join(sorted(known))}."
-                )
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise ValueError(f"{path.name}: {key} is {value!r}; it must be a number.")
             values[key] = float(value)

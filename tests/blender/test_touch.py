@@ -10,15 +10,17 @@ import numpy as np
 
 bpy.ops.preferences.addon_enable(module="bl_ext.user_default.tactile_clay")
 from bl_ext.user_default.tactile_clay.clay_addon.touch.connection import touch
+from bl_ext.user_default.tactile_clay.haptics import Foci
 from bl_ext.user_default.tactile_clay.haptics.foci.pipeline import TouchFrame
 
 scene = bpy.context.scene
 bpy.ops.clay.array_add(preset="openmpd")
 print("CONNECT", bpy.ops.clay.touch_connect())
-frame = TouchFrame(np.array(((0.0, 0.0, 0.2),)), np.array((500.0,)), 0.00865)
+foci = Foci(np.array(((0.0, 0.0, 0.2),)), np.array((500.0,)), np.zeros(0, int), 0.00865)
+frame = TouchFrame(foci)
 end = time.monotonic() + 30.0
 while time.monotonic() < end and not (touch.status and touch.status.foci):
-    touch.feel(scene, frame)
+    touch.send(scene, frame)
     time.sleep(1 / 60)
 print("FELT", touch.status.foci, touch.status.device)
 process = touch.client.process

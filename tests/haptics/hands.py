@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands to try touch with: the generated mesh, bound to its joints without flesh."""
+"""Hands for tests of touch: the generated mesh, bound to its joints without flesh."""
 
 from collections.abc import Callable
 from functools import cache
@@ -16,7 +16,7 @@ PARENTS = {"palm": "wrist", "wrist": ""}
 
 
 def parent_of(name: str) -> str:
-    """Name of the joint that a joint hangs on."""
+    """Name of a joint's parent."""
     if name in PARENTS:
         return PARENTS[name]
     finger, _, segment = name.partition("_")
@@ -40,13 +40,13 @@ def bare_rig(
     """Bind the generated hand: each vertex is a ghost and a node, carried by the nearest bone.
 
     Args:
-        side: Which hand.
-        length: Of the hand [m].
-        pose: Of the hand.
-        edge_length: Of the mesh [m].
-        named: What a joint of OpenXR is called.
-        tips: Whether joints in the fingertips are kept.
-        told_side: What the rig says of its side, `side` where not given.
+        side: ``right`` or ``left``.
+        length: Length of the hand [m].
+        pose: Pose of the hand.
+        edge_length: Edge length of the mesh [m].
+        named: Gives the bone name for a joint of OpenXR.
+        tips: Whether to keep the joints in the fingertips.
+        told_side: The rig's own `side`; the same as `side` if None.
     """
     vertices, faces = _mesh(side, length, pose, edge_length)
     shape = hand_shape(side, length=length, pose=pose)
@@ -59,7 +59,7 @@ def bare_rig(
     parents = np.array([names.index(parent_of(n)) if parent_of(n) else -1 for n in names])
     carrier = _nearest_bones(vertices, {n: shape.joints[n] for n in shape.joints}, names)
 
-    # A tetrahedron of its own for every vertex, whose first corner is the vertex.
+    # Every vertex is the first corner of a tetrahedron of its own.
     count = len(vertices)
     corners = 1e-3 * np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
     nodes = (vertices[:, None] + corners).reshape(-1, 3)
@@ -91,12 +91,12 @@ def bare_rig(
 
 @cache
 def _mesh(side: str, length: float, pose: str | HandPose, edge_length: float | None):
-    """The mesh, made once for each kind of hand."""
+    """The mesh, cached for each kind of hand."""
     return hand_mesh(side, length=length, pose=pose, edge_length=edge_length)
 
 
 def vertex_normals_and_areas(vertices: np.ndarray, faces: np.ndarray):
-    """Unit normals and surrounding areas [m²] of a closed mesh's vertices."""
+    """Unit normals and surrounding areas [m²] of the vertices of a closed mesh."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals, areas = np.zeros_like(vertices), np.zeros(len(vertices))
@@ -115,7 +115,7 @@ def _ancestors(name: str) -> list[str]:
 
 
 def _nearest_bones(vertices: np.ndarray, joints: dict, names: tuple[str, ...]) -> np.ndarray:
-    """Index of the bone that each vertex is nearest to; a bone runs to the joints on it."""
+    """Index of the bone nearest to each vertex; a bone extends to its child joints."""
     best = np.full(len(vertices), np.inf)
     carrier = np.zeros(len(vertices), np.int32)
     for name, place in joints.items():
@@ -124,7 +124,7 @@ def _nearest_bones(vertices: np.ndarray, joints: dict, names: tuple[str, ...]) -
             continue
         start, edge = joints[parent], place - joints[parent]
         along = np.clip((vertices - start) @ edge / max(edge @ edge, 1e-12), 0.0, 1.0)
-        away = np.linalg.norm(vertices - start - along[:, None] * edge, axis=1)
-        nearer = away < best
-        best[nearer], carrier[nearer] = away[nearer], names.index(parent)
+        distance = np.linalg.norm(vertices - start - along[:, None] * edge, axis=1)
+        nearer = distance < best
+        best[nearer], carrier[nearer] = distance[nearer], names.index(parent)
     return carrier

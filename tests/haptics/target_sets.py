@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Random sets of foci that drives are judged by, as Fushimi et al. do (Diff-PAT, 2021)."""
+"""Random sets of foci to evaluate drives with, as in Fushimi et al. (Diff-PAT, 2021)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Targets = tuple[NDArray[np.float64], NDArray[np.float64]]
 
-APART = 0.010
-"""Foci of a set are farther apart than this [m]: some wavelengths."""
+MIN_DISTANCE = 0.010
+"""Minimum distance between the foci of a set [m]: a little more than a wavelength."""
 
 
 def random_targets(
@@ -16,11 +16,11 @@ def random_targets(
     """Sets of foci in a box above an array.
 
     Args:
-        count: How many sets.
-        fewest: Foci in a set, at least.
-        most: And at most.
-        loudest: Pressure is drawn from .3 to 1 of this over √K [Pa], K being the foci of the set.
-        seed: Of the drawing.
+        count: Number of sets.
+        fewest: Minimum number of foci in a set.
+        most: Maximum number of foci in a set.
+        loudest: Pressures are drawn from 0.3 to 1 times this over √K [Pa], for a set of K foci.
+        seed: Random seed.
 
     Returns:
         Positions [m], shape [K, 3], and pressures [Pa], shape [K], of each set.
@@ -32,7 +32,7 @@ def random_targets(
         points = np.zeros((0, 3))
         while len(points) < size:
             point = random.uniform((-0.06, -0.06, 0.15), (0.06, 0.06, 0.25))
-            if (np.linalg.norm(points - point, axis=1) > APART).all():
+            if (np.linalg.norm(points - point, axis=1) > MIN_DISTANCE).all():
                 points = np.vstack((points, point))
         sets.append((points, random.uniform(0.3, 1.0, size) * loudest / np.sqrt(size)))
     return sets

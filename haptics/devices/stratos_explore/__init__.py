@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ultraleap STRATOS Explore, through a bridge program that people build against their own SDK.
+"""Ultraleap STRATOS Explore, through a bridge program that users build with their own SDK.
 
-The SDK is closed and has no Python binding, so ``bridge.cpp`` beside this file hands focal points
-on to it, and CMakeLists.txt tells how to build it with SDK 2 or 3. The SDK computes the drive. Its
-intensity, 0 to 1, is in no unit: here it is the pressure over a full scale. Compiled and tried
-against headers written from the SDK's description, never with the SDK or a device.
+The SDK is proprietary and has no Python binding, so ``bridge.cpp`` in this folder passes focal
+points to it; CMakeLists.txt explains how to build it with SDK 2 or 3. The SDK computes the drive.
+Its intensity, 0 to 1, has no unit; here it is the pressure relative to a full scale. Tested only
+with headers written from the SDK's documentation, never with the SDK or a device.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ...protocol.datagram import Kind, Modulation, encode
 from ..device import Device, DeviceError, DeviceName, Emission
 
 _FRAME_SECONDS = 0.010
-"""The SDK takes no more than an update in this time [s]."""
+"""Minimum time between two updates of the SDK [s]."""
 _CONNECT_TIMEOUT = 5.0
 _KEEP_ALIVE = 0.05
 
@@ -33,8 +33,8 @@ _KEEP_ALIVE = 0.05
 class DeviceStratosExplore(Device):
     """``stratos_explore:BRIDGE,full=PA``: the path of the bridge, and the pressure of intensity 1.
 
-    The bridge is a watchdog: it stops the array when it hears nothing for 150 ms or the server is
-    gone.
+    The bridge acts as a watchdog: it stops the array if it receives nothing for 150 ms or the
+    server is gone.
     """
 
     takes_foci = True
@@ -48,8 +48,8 @@ class DeviceStratosExplore(Device):
         self._full = name.number("full", 1000.0)
         if not self._path:
             raise DeviceError(
-                "Say where the bridge program is, as stratos_explore:/path/to/stratos_bridge. "
-                f"How to build it is told in {Path(__file__).parent / 'CMakeLists.txt'}."
+                "Give the path of the bridge program, as stratos_explore:/path/to/stratos_bridge. "
+                f"{Path(__file__).parent / 'CMakeLists.txt'} explains how to build it."
             )
         if self._full <= 0.0:
             raise DeviceError(f"full must be a pressure above 0 Pa, not {self._full:g}.")
@@ -61,7 +61,7 @@ class DeviceStratosExplore(Device):
         self._free_at = 0.0
 
     def open(self, now: float) -> None:
-        """Start the bridge, which connects to the array and begins silent."""
+        """Start the bridge, which connects to the array and is silent at first."""
         self.close(now)
         try:
             process = subprocess.Popen(
@@ -72,8 +72,8 @@ class DeviceStratosExplore(Device):
             )
         except OSError as error:
             raise DeviceError(
-                f"The bridge {self._path} cannot be started ({error.strerror}). Build it against "
-                f"your SDK as {Path(__file__).parent / 'CMakeLists.txt'} says."
+                f"The bridge {self._path} cannot be started ({error.strerror}). Build it with your "
+                f"SDK as explained in {Path(__file__).parent / 'CMakeLists.txt'}."
             ) from error
         self._process, self._lines = process, queue.SimpleQueue()
         threading.Thread(target=_listen, args=(process, self._lines), daemon=True).start()
@@ -92,11 +92,11 @@ class DeviceStratosExplore(Device):
         self._limit = int(words[2])
 
     def busy(self, now: float) -> float:
-        """Until the SDK takes the next update [s]."""
+        """Time until the SDK accepts the next update [s]."""
         return max(0.0, self._free_at - now)
 
     def emit(self, emission: Emission, now: float) -> float:
-        """Send the points, of too many the strongest, with intensities for pressures."""
+        """Send focal points with their intensities; if there are too many, the strongest."""
         order = np.argsort(-emission.pressures, kind="stable")[: self._limit]
         intensity = np.minimum(emission.pressures[order] / self._full, emission.amplitude_cap)
         modulation = Modulation.AMPLITUDE if emission.modulated else Modulation.NONE
@@ -105,11 +105,11 @@ class DeviceStratosExplore(Device):
         return now
 
     def off(self, now: float) -> None:
-        """Send no points."""
+        """Send an empty list of focal points."""
         self._send(np.zeros((0, 3)), np.zeros(0), Modulation.AMPLITUDE, now)
 
     def service(self, now: float) -> float:
-        """See whether the bridge still runs."""
+        """Check that the bridge is still running."""
         process = self._process
         if process is None or process.poll() is not None:
             lines = []
@@ -161,7 +161,7 @@ class DeviceStratosExplore(Device):
         try:
             self._socket.send(data)
         except OSError as error:
-            raise DeviceError(f"The bridge does not listen ({error.strerror}).") from error
+            raise DeviceError(f"The bridge does not accept data ({error.strerror}).") from error
 
 
 def _listen(process: subprocess.Popen[str], lines: queue.SimpleQueue[str]) -> None:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// What the bridge asks of an SDK; sdk2.cpp and sdk3.cpp each answer it.
+// The interface between the bridge and an SDK, implemented by sdk2.cpp and sdk3.cpp.
 
 #pragma once
 
@@ -18,11 +18,11 @@ struct ArrayError : std::runtime_error {
 class Array {
 public:
     virtual ~Array() = default;
-    // Most points at a time.
+    // Maximum number of simultaneous focal points.
     virtual std::size_t limit() = 0;
-    // Emits these points from now on. Throws ArrayError.
-    virtual void emit(const FocalPoints &points) = 0;
-    // Ends all sound. Throws ArrayError.
+    // Replaces the emitted focal points. Throws ArrayError.
+    virtual void emit(const FociMessage &points) = 0;
+    // Silences the array. Throws ArrayError.
     virtual void stop() = 0;
     virtual bool connected() = 0;
 };

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Takes focal points from the array server on this machine and gives them to Ultraleap's SDK.
+// Receives focal points from the array server on this machine and passes them to Ultraleap's SDK.
 //
-// Its one argument is the number of the session that it listens to. It says "ready PORT LIMIT" on its standard output once the array is connected, and ends with it off
-// when its standard input ends, when a signal asks for it, or when the array is gone. The array has no
-// watchdog, so the bridge is one: without focal points for 150 ms it is silent.
+// Its only argument is the session number to accept. It prints "ready PORT LIMIT" to standard
+// output once the array is connected. It silences the array and exits when standard input ends, on
+// a signal, or when the array is gone. The array has no watchdog, so the bridge acts as one: it is
+// silent after 150 ms without focal points.
 //
-// Build it against your own copy of the SDK: see CMakeLists.txt.
+// CMakeLists.txt explains how to build it with your own copy of the SDK.
 
 #include <atomic>
 #include <chrono>
@@ -36,8 +37,8 @@ using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
 constexpr milliseconds stale_after{150};
-constexpr milliseconds shortest_interval{10};  // the SDK's own limit between two updates
-constexpr int longest_wait = 5;                // ms
+constexpr milliseconds min_interval{10};  // the SDK's limit between two updates
+constexpr int max_wait = 5;               // ms
 
 std::atomic<bool> ending{false};
 
@@ -55,12 +56,12 @@ socket_t listen_on_loopback(unsigned short &port) {
     socklen_t size = sizeof(address);
     if (bind(handle, reinterpret_cast<sockaddr *>(&address), size) != 0 ||
         getsockname(handle, reinterpret_cast<sockaddr *>(&address), &size) != 0)
-        throw tactile_clay::ArrayError("no port is free");
+        throw tactile_clay::ArrayError("no free port");
     port = ntohs(address.sin_port);
 #ifdef _WIN32
-    const DWORD wait = longest_wait;
+    const DWORD wait = max_wait;
 #else
-    const timeval wait{0, longest_wait * 1000};
+    const timeval wait{0, max_wait * 1000};
 #endif
     setsockopt(handle, SOL_SOCKET, SO_RCVTIMEO, reinterpret_cast<const char *>(&wait), sizeof(wait));
     return handle;
@@ -68,10 +69,10 @@ socket_t listen_on_loopback(unsigned short &port) {
 
 void serve(tactile_clay::Array &array, socket_t handle, std::uint32_t session) {
     static unsigned char data[65536];
-    std::optional<tactile_clay::FocalPoints> newest;
+    std::optional<tactile_clay::FociMessage> newest;
     std::uint64_t sequence = 0;
     bool waiting = false, emitting = false;
-    Clock::time_point heard = Clock::now(), updated = heard - shortest_interval;
+    Clock::time_point heard = Clock::now(), updated = heard - min_interval;
     while (!ending) {
         const auto size = recv(handle, reinterpret_cast<char *>(data), sizeof(data), 0);
         const auto now = Clock::now();
@@ -89,7 +90,7 @@ void serve(tactile_clay::Array &array, socket_t handle, std::uint32_t session) {
             array.stop();
             emitting = waiting = false;
         }
-        if (waiting && now - updated >= shortest_interval && now - heard <= stale_after) {
+        if (waiting && now - updated >= min_interval && now - heard <= stale_after) {
             waiting = false;
             updated = now;
             if (!newest->points.empty()) {
@@ -124,7 +125,7 @@ int main(int count, char **words) {
             try {
                 array->stop();
             } catch (const std::exception &) {
-                // What cannot be reached cannot be stopped; the first reason is the one to tell.
+                // An array that is gone cannot be stopped; report the first error.
             }
             throw;
         }
@@ -132,7 +133,7 @@ int main(int count, char **words) {
     } catch (const std::exception &error) {
         std::printf("failed %s\n", error.what());
         std::fflush(stdout);
-        // Leaving main would wait for the thread that reads the standard input.
+        // Returning from main would wait for the thread that reads standard input.
         std::_Exit(1);
     }
     std::_Exit(0);

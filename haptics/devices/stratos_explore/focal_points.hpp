@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The focal points that the array server sends: haptics/protocol/datagram.py says what a datagram
-// holds. Here the fourth number of each point is an intensity in 0 to 1.
+// The focal points that the array server sends; haptics/protocol/datagram.py describes the format.
+// Here the fourth number of each point is an intensity from 0 to 1.
 
 #pragma once
 
@@ -15,11 +15,11 @@
 namespace tactile_clay {
 
 struct FocalPoint {
-    float x, y, z;     // metres, from the middle of the array, z out of it
+    float x, y, z;     // meters from the center of the array, z out of it
     float intensity;   // 0 to 1
 };
 
-struct FocalPoints {
+struct FociMessage {
     std::uint32_t session = 0;
     std::uint64_t sequence = 0;
     bool modulated = true;
@@ -35,7 +35,7 @@ inline std::uint32_t checksum(const unsigned char *data, std::size_t size) {
     return ~crc;
 }
 
-// Reads little-endian numbers whatever the machine's own order is.
+// Reads little-endian numbers on machines with any byte order.
 template <typename Number>
 Number read_number(const unsigned char *data) {
     std::uint64_t bits = 0;
@@ -52,17 +52,17 @@ Number read_number(const unsigned char *data) {
     }
 }
 
-// Nothing if the datagram is not exactly one of ours with numbers that can be emitted.
-inline std::optional<FocalPoints> read_focal_points(const unsigned char *data, std::size_t size,
-                                                    std::size_t most) {
+// Returns nothing unless the datagram is valid and its numbers can be emitted.
+inline std::optional<FociMessage> read_focal_points(const unsigned char *data, std::size_t size,
+                                                    std::size_t limit) {
     constexpr std::size_t head = 32, point = 16, check = 4;
     if (size < head + check || std::memcmp(data, "TCFP", 4) != 0) return std::nullopt;
     if (data[4] != 1 || data[5] != 1 || data[6] > 1 || data[7] != 0) return std::nullopt;
     const auto count = read_number<std::uint32_t>(data + 12);
-    if (count > most || size != head + count * point + check) return std::nullopt;
+    if (count > limit || size != head + count * point + check) return std::nullopt;
     if (read_number<std::uint32_t>(data + size - check) != checksum(data, size - check))
         return std::nullopt;
-    FocalPoints read;
+    FociMessage read;
     read.session = read_number<std::uint32_t>(data + 8);
     read.sequence = read_number<std::uint64_t>(data + 16);
     read.modulated = data[6] == 0;

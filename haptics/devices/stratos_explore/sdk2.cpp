@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Ultrahaptics SDK 2: the array itself modulates points that persist until the next update.
+// Ultrahaptics SDK 2: the array itself modulates focal points, which persist until the next update.
 
 #include <UltrahapticsAmplitudeModulation.hpp>
 
@@ -17,14 +17,14 @@ public:
 
     std::size_t limit() override { return emitter_.getMaximumControlPointLimit(); }
 
-    void emit(const FocalPoints &points) override {
+    void emit(const FociMessage &points) override {
         if (points.points.empty()) return stop();
         std::vector<Ultrahaptics::AmplitudeModulation::ControlPoint> control;
         for (const FocalPoint &one : points.points)
-            // The frequency is always given: the default is not what its description says.
+            // The frequency is always given, because the default differs from the documentation.
             control.emplace_back(one.x, one.y, one.z, one.intensity, modulation_frequency);
         if (!emitter_.update(control.data(), control.size()))
-            throw ArrayError("the array does not take the points");
+            throw ArrayError("the array does not accept the focal points");
     }
 
     void stop() override {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Ultraleap Haptics SDK 3: a callback says, ahead of time, how intense each point is at each instant.
+// Ultraleap Haptics SDK 3: a callback provides the focal points of the next samples.
 
 #include <ultraleap/haptics/streaming.hpp>
 
@@ -16,8 +16,8 @@ namespace {
 
 using namespace Ultraleap::Haptics;
 
-// More points at a time lower the rate at which each is updated.
-constexpr std::size_t most_points = 8;
+// More simultaneous focal points lower the update rate of each.
+constexpr std::size_t max_points = 8;
 constexpr double pi = 3.14159265358979323846;
 
 template <typename Result>
@@ -31,22 +31,22 @@ public:
         auto found = library_.findDevice(DeviceFeatures::StreamingHaptics);
         check(found, "no array is found");
         check(emitter_.addDevice(found.value()), "the array cannot be used");
-        check(emitter_.setControlPointCount(most_points, AdjustRate::All),
-              "the array does not take that many points");
+        check(emitter_.setControlPointCount(max_points, AdjustRate::All),
+              "the array does not support that many focal points");
         check(emitter_.setEmissionCallback(
                   [this](const StreamingEmitter &, OutputInterval &interval, const LocalTimePoint &) {
                       fill(interval);
                   }),
-              "the array takes no callback");
+              "the array does not accept the callback");
         start_ = LocalTimeClock::now();
         check(emitter_.start(), "the array does not start");
         check(emitter_.pause(), "the array does not pause");
     }
     ~ArraySDK3() override { (void)emitter_.stop(); }
 
-    std::size_t limit() override { return most_points; }
+    std::size_t limit() override { return max_points; }
 
-    void emit(const FocalPoints &points) override {
+    void emit(const FociMessage &points) override {
         if (points.points.empty()) return stop();
         {
             const std::lock_guard<std::mutex> lock(mutex_);
@@ -65,7 +65,7 @@ public:
         check(emitter_.pause(), "the array does not pause");
     }
 
-    // The SDK says so by failing.
+    // If the array is gone, calls of the SDK fail.
     bool connected() override { return true; }
 
 private:
@@ -82,7 +82,7 @@ private:
                 points_.modulated
                     ? 0.5 * (1.0 - std::cos(2.0 * pi * modulation_frequency * time.count()))
                     : 1.0;
-            for (std::size_t i = 0; i < most_points; ++i) {
+            for (std::size_t i = 0; i < max_points; ++i) {
                 const bool used = i < points_.points.size();
                 const FocalPoint one =
                     used ? points_.points[i] : FocalPoint{0.0f, 0.0f, 0.2f, 0.0f};
@@ -96,7 +96,7 @@ private:
     StreamingEmitter emitter_;
     LocalTimePoint start_;
     std::mutex mutex_;
-    FocalPoints points_;
+    FociMessage points_;
     bool emitting_ = false;
 };
 

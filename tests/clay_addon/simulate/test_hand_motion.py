@@ -100,8 +100,8 @@ def test_finger_dents_the_clay_and_feels_it(studio: Any, hand: Any) -> None:
     assert after[:, 2].min() > 0.003
 
     assert cache.foci_frames() == list(range(1, LAST + 1))
-    assert len(touch_record.recorded_touch(cache, 1, scale=1.0).pressures) == 0
-    felt = touch_record.recorded_touch(cache, LAST - 1, scale=1.0)
+    assert len(touch_record.recorded_touch(cache, 1, scale=1.0).foci.pressures) == 0
+    felt = touch_record.recorded_touch(cache, LAST - 1, scale=1.0).foci
     assert len(felt.pressures) > 0
     assert 0.0 < felt.pressures.max() <= studio.scene.tactile_touch.ceiling + 1e-3
     strongest = felt.positions[np.argmax(felt.pressures)]
@@ -221,7 +221,7 @@ def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
         atol=0.02,
     )
     felt, known = (
-        touch_record.recorded_touch(cache, LAST - 1, scale=scale)
+        touch_record.recorded_touch(cache, LAST - 1, scale=scale).foci
         for cache, scale in ((centimeters, 0.01), (meters, 1.0))
     )
     np.testing.assert_allclose(felt.positions, known.positions, atol=1e-3)
@@ -256,7 +256,7 @@ def test_what_keeps_touch_from_being_recorded_is_told(studio: Any, hand: Any) ->
     assert bpy.ops.clay.hand_make() == {"FINISHED"}
     result = bake(bpy.context, end=2)
     (warning,) = result.warnings
-    assert "All skin of 'Right hand' counts the same for touch: " in warning
+    assert "Touch treats all skin of 'Right hand' as equally sensitive: " in warning
     assert Cache(result.directory).foci_frames() == [1, 2]
 
 

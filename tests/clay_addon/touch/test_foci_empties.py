@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points of a bake as keyed empties: where they were, how strong, and when absent."""
+"""Focal points of a bake as keyframed empties: positions, pressures and absence."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def frame(number: int, positions: Any, pressures: Any) -> FociFrame:
     )
 
 
-def test_points_are_followed_through_any_order() -> None:
-    """Each track is one point that moves, however the frames list them; gaps are absent."""
+def test_points_are_followed_in_any_order() -> None:
+    """Follow each point whatever its order in the frames, and mark gaps as absent."""
     rng = np.random.default_rng(0)
     paths = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]]) + np.cumsum(
         rng.normal(0, 0.002, (12, 3, 3)), axis=0
@@ -42,14 +42,14 @@ def test_points_are_followed_through_any_order() -> None:
     for number in (0, 5, 6):
         present = tracks.pressures[number] > 0
         assert sorted(tracks.pressures[number][present]) == sorted(frames[number].pressures)
-    # The one that was there throughout keeps its strength and its path.
+    # The point present in all frames keeps its pressure and its path.
     (steady,) = np.flatnonzero((tracks.pressures > 0).all(axis=0))
     assert set(tracks.pressures[:, steady]) == {200.0}
     np.testing.assert_allclose(tracks.positions[:, steady], paths[:, 1], atol=1e-7)
 
 
-def test_far_points_do_not_follow_each_other() -> None:
-    """A point that appears elsewhere as another goes is not taken for it moving there."""
+def test_distant_points_are_not_joined() -> None:
+    """Do not take a distant new point for one that has disappeared."""
     frames = {1: frame(1, [[0, 0, 0]], [100]), 2: frame(2, [[1, 0, 0]], [100])}
     tracks = follow_foci(frames, reach=0.05)
     assert tracks.pressures.shape == (2, 1)
@@ -59,8 +59,8 @@ def test_far_points_do_not_follow_each_other() -> None:
     assert tracks.pressures[:, 1].tolist() == [0, 50]
 
 
-def test_empties_play_what_was_recorded(studio: Any, tmp_path: Path) -> None:
-    """Places, strengths and absence come out at every frame; making them again replaces them."""
+def test_empties_show_the_recorded_focal_points(studio: Any, tmp_path: Path) -> None:
+    """Reproduce positions, pressures and absence at every frame; replace earlier empties."""
     studio.falling_block(tmp_path, end=4)
     assert "no bake" in studio.refused(bpy.ops.clay.foci_empties)
     cache = Cache(bake(bpy.context).directory)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The color layer that shows how much touch counts on a hand."""
+"""The color attribute that shows the sensitivity of a hand."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from tactile_clay.clay_addon.touch.sensitivity import LAYER, sensitivity_colors
 
 
 def test_fingertips_are_brightest_and_the_palm_is_dark(studio: Any) -> None:
-    """Paint every vertex; the pads of a moved hand count most, the wrist least."""
+    """Color every vertex of a moved hand, the finger pads brightest and the wrist darkest."""
     studio.scene.tactile_clay.spacing = 0.02
     assert bpy.ops.clay.hand_add(side="RIGHT") == {"FINISHED"}
     (item,) = hand_objects(studio.scene)
@@ -33,13 +33,13 @@ def test_fingertips_are_brightest_and_the_palm_is_dark(studio: Any) -> None:
     assert brightness[wrist].max() < 0.7 * brightness[tips].mean()
 
 
-def test_nothing_is_painted_without_a_hand(studio: Any) -> None:
-    """Grey the button out."""
+def test_the_button_is_disabled_without_a_hand(studio: Any) -> None:
+    """Gray out the button."""
     assert not bpy.ops.clay.touch_sensitivity.poll()
 
 
-def test_colors_rise_with_the_weight() -> None:
-    """Go from dark to bright, opaque all along."""
+def test_brightness_increases_with_the_weight() -> None:
+    """Go from dark to bright, always opaque."""
     colors = sensitivity_colors(np.linspace(0.0, 1.0, 20))
     assert (np.diff(colors[:, :3].sum(1)) > 0).all()
     assert (colors[:, 3] == 1.0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch in Blender: the array object, the connection, what is recorded, and what is drawn."""
+"""Touch in Blender: the array object, the connection, the recording and the overlay."""
 
 import importlib.util
 import subprocess
@@ -18,6 +18,7 @@ import tactile_clay.haptics
 from tactile_clay.clay_addon.bake.bake import bake
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheDamagedError, CacheMissingError
 from tactile_clay.clay_addon.core.storage.foci import FociFrame, read_foci, write_foci
+from tactile_clay.clay_addon.touch import connection as touch_connection
 from tactile_clay.clay_addon.touch import overlay as touch_overlay
 from tactile_clay.clay_addon.touch import panel as touch_panel
 from tactile_clay.clay_addon.touch import record as touch_record
@@ -25,7 +26,7 @@ from tactile_clay.clay_addon.touch.array import TouchArrayError, placed_array
 from tactile_clay.clay_addon.touch.connection import touch
 from tactile_clay.clay_addon.touch.operators import field_picture
 from tactile_clay.clay_addon.touch.properties import device_name
-from tactile_clay.haptics import TransducerArray, acoustic_field
+from tactile_clay.haptics import Foci, TransducerArray, acoustic_field
 from tactile_clay.haptics.foci.pipeline import TouchFrame
 from tactile_clay.tests.clay_addon.test_panel import Layout
 
@@ -33,15 +34,20 @@ PATIENCE = 20.0
 PIXELS = 128
 
 
+def foci_at(points: np.ndarray, pressures: Any, sigma: float = 0.00865) -> Foci:
+    """Focal points without a field."""
+    return Foci(points, np.array(pressures), np.zeros(0, np.intp), sigma)
+
+
 def frame_at(height: float, pressure: float = 800.0) -> TouchFrame:
-    """Two focal points over the origin, and some skin about them."""
+    """Two focal points over the origin, and some skin around them."""
     side = np.linspace(-0.04, 0.04, 21)
     skin = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
     skin = np.column_stack((skin, np.full(len(skin), height)))
     points = np.array(((-0.02, 0.0, height), (0.02, 0.01, height)))
-    away = np.square(skin[:, None] - points).sum(2).min(1)
-    felt = pressure * np.exp(-0.5 * away / 0.00865**2)
-    return TouchFrame(points, np.array((pressure, 0.6 * pressure)), 0.00865, skin, felt, felt)
+    square = np.square(skin[:, None] - points).sum(2).min(1)
+    pressures = pressure * np.exp(-0.5 * square / 0.00865**2)
+    return TouchFrame(foci_at(points, (pressure, 0.6 * pressure)), skin, pressures, pressures)
 
 
 def add_array(preset: str = "sonicsurface") -> Any:
@@ -51,18 +57,18 @@ def add_array(preset: str = "sonicsurface") -> Any:
 
 
 def feel_until(scene: Any, frame: TouchFrame, until: Any, what: str) -> None:
-    """Feel the same frame at a live scene's pace until something holds."""
+    """Send the same frame at the rate of a live scene until a condition is true."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
-        touch.feel(scene, frame)
+        touch.send(scene, frame)
         if until():
             return
         time.sleep(1 / 60)
-    raise AssertionError(f"{what} did not happen; the server says {touch.status}")
+    raise AssertionError(f"{what} did not happen; the server's status is {touch.status}")
 
 
-def test_an_array_is_an_object_of_its_own_size(studio: Any) -> None:
-    """Lay out 256 discs of the right size and place, whatever a Blender unit is."""
+def test_an_array_object_has_its_real_size(studio: Any) -> None:
+    """Make 256 discs of the right size and position with any unit scale."""
     studio.scene.unit_settings.scale_length = 0.01
     item = add_array()
     assert studio.scene.tactile_touch.array == item
@@ -73,8 +79,8 @@ def test_an_array_is_an_object_of_its_own_size(studio: Any) -> None:
     assert len(item.data.polygons) == 256
 
 
-def test_the_object_is_where_the_sound_comes_from(studio: Any) -> None:
-    """Take place and turn from the object, in meters, and refuse one that is scaled."""
+def test_the_array_has_the_pose_of_its_object(studio: Any) -> None:
+    """Take position and rotation from the object, in meters, and refuse one that is scaled."""
     assert placed_array(studio.scene) is None
     studio.scene.unit_settings.scale_length = 0.5
     item = add_array("openmpd")
@@ -90,8 +96,8 @@ def test_the_object_is_where_the_sound_comes_from(studio: Any) -> None:
         placed_array(studio.scene)
 
 
-def test_devices_are_named_as_the_server_reads_them(studio: Any) -> None:
-    """Write kind, address and options in one word."""
+def test_device_names_are_those_of_the_server(studio: Any) -> None:
+    """Combine kind, address and options."""
     properties = studio.scene.tactile_touch
     assert device_name(properties) == "simulated"
     add_array("autd3")
@@ -106,8 +112,8 @@ def test_devices_are_named_as_the_server_reads_them(studio: Any) -> None:
     assert device_name(properties) == "autd3:"
 
 
-def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> None:
-    """Connect, hold the pressures asked for in the array's own place, and be silent afterwards."""
+def test_a_frame_is_emitted_by_an_array_away_from_the_origin(studio: Any) -> None:
+    """Connect, produce the requested pressures in the world, and be silent afterward."""
     item = add_array("openmpd")
     item.location = (0.3, -0.2, 0.1)
     bpy.context.view_layer.update()
@@ -115,7 +121,8 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     assert touch.client is not None
     near = frame_at(0.25)
     away = np.array((0.3, -0.2, 0.0))
-    near = TouchFrame(near.positions + away, near.pressures, near.sigma)
+    foci = foci_at(near.foci.positions + away, near.foci.pressures)
+    near = TouchFrame(foci)
 
     drives = []
 
@@ -128,8 +135,8 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     drive = drives[-1]
     array = placed_array(studio.scene)
     assert array is not None
-    heard = np.abs(acoustic_field(array, drive, near.positions))
-    assert heard / near.pressures == pytest.approx(1.0, abs=0.05)
+    heard = np.abs(acoustic_field(array, drive, foci.positions))
+    assert heard / foci.pressures == pytest.approx(1.0, abs=0.05)
     assert "2 focal points" in touch_panel.status_lines()[0][0]
     process = touch.client.process
     assert process is not None
@@ -138,8 +145,8 @@ def test_a_frame_is_felt_through_an_array_that_stands_elsewhere(studio: Any) -> 
     assert touch.client is None
 
 
-def test_opening_another_file_and_unregistering_let_go(studio: Any) -> None:
-    """End the server with the file, and with the add-on."""
+def test_opening_another_file_and_unregistering_disconnect(studio: Any) -> None:
+    """End the server when another file is opened, and when the add-on is unregistered."""
     assert bpy.ops.clay.touch_connect() == {"FINISHED"}
     first = touch.client.process if touch.client else None
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -155,10 +162,10 @@ def test_opening_another_file_and_unregistering_let_go(studio: Any) -> None:
 
 
 def test_a_server_that_was_started_by_hand_is_used_and_left_running(studio: Any) -> None:
-    """Connect to a port, and leave the server silent and alive."""
+    """Connect to a port, and leave the server silent and running."""
     properties = studio.scene.tactile_touch
     properties.kind, properties.server_port = "SERVER", 9
-    assert "No array server answers at port 9" in studio.refused(bpy.ops.clay.touch_connect)
+    assert "No array server answers on port 9" in studio.refused(bpy.ops.clay.touch_connect)
     assert touch.client is None
     command = "from tactile_clay.clay_addon.command.line import run; run()"
     words = ["array-server", "simulated:openmpd", "--port", "0"]
@@ -182,20 +189,20 @@ def test_a_server_that_was_started_by_hand_is_used_and_left_running(studio: Any)
         assert process.wait(PATIENCE) == 0
 
 
-def test_a_device_that_cannot_be_is_told(studio: Any) -> None:
-    """Report what the server says, and stay unconnected."""
+def test_a_device_that_cannot_be_made_is_reported(studio: Any) -> None:
+    """Report the server's message, and stay disconnected."""
     properties = studio.scene.tactile_touch
     properties.kind = "OPENMPD"
     assert "board_N.pat" in studio.refused(bpy.ops.clay.touch_connect)
     assert touch.client is None
 
 
-def test_missing_packages_are_a_notice_only(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Say in the panel what a device needs, and refuse to connect without it."""
+def test_missing_packages_are_reported(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Show in the panel what a device needs, and refuse to connect without it."""
     studio.scene.tactile_touch.kind = "SONICSURFACE"
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "pyserial is missing" in drawn()
-    assert "pyserial is missing" in studio.refused(bpy.ops.clay.touch_connect)
+    assert "pyserial, which is missing" in drawn()
+    assert "pyserial, which is missing" in studio.refused(bpy.ops.clay.touch_connect)
     studio.scene.tactile_touch.kind = "AUTD3"
     assert "choose Running Server" in drawn()
     studio.scene.tactile_touch.kind = "SIMULATED"
@@ -218,21 +225,21 @@ STATUS = {"heard": True, "connected": True}
     [
         ({}, "Waiting for the server"),
         ({"fault": "The array server has ended."}, "has ended"),
-        ({"heard": True, "fault": "No such port."}, "Not connected"),
-        ({"heard": True, "emitting": True}, "switch its power off"),
+        ({"heard": True, "fault": "No such port."}, "not connected"),
+        ({"heard": True, "emitting": True}, "Switch off its power"),
         (STATUS, "Connected and silent"),
         (
             STATUS | {"emitting": True, "foci": 1, "latency": 0.0123},
             "1 focal point, 0 frames/s, latency 12",
         ),
-        (STATUS | {"outside": 3}, "3 focal points out of"),
-        (STATUS | {"dropped": 4}, "4 frames dropped"),
+        (STATUS | {"outside": 3}, "3 focal points outside"),
+        (STATUS | {"dropped": 4}, "4 frames replaced"),
     ],
 )
-def test_the_panel_tells_how_it_goes(
+def test_the_panel_shows_the_status(
     studio: Any, monkeypatch: pytest.MonkeyPatch, status: dict, said: str
 ) -> None:
-    """Tell what the server says in the user's words."""
+    """Show the server's status in the user's words."""
     from tactile_clay.haptics import ArrayStatus
 
     monkeypatch.setattr(touch, "client", SimpleNamespace(close=lambda: None))
@@ -240,8 +247,8 @@ def test_the_panel_tells_how_it_goes(
     assert said in drawn()
 
 
-def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> None:
-    """Write, read, list and free them with the frames, and refuse damaged ones."""
+def test_focal_points_are_recorded_with_the_bake(studio: Any, tmp_path: Path) -> None:
+    """Write, read, list and free them with the frames, and refuse damaged files."""
     studio.falling_block(tmp_path, end=2)
     result = bake(bpy.context)
     cache = Cache(result.directory)
@@ -250,10 +257,10 @@ def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> Non
     touch_record.record_touch(cache, 2, frame, cache.meta(), scale=0.5)
     assert cache.foci_frames() == [2]
     assert cache.size() > before
-    kept = touch_record.recorded_touch(cache, 2, scale=0.5)
-    assert kept.positions == pytest.approx(frame.positions, abs=1e-7)
-    assert kept.pressures == pytest.approx(frame.pressures)
-    assert kept.sigma == pytest.approx(frame.sigma)
+    kept = touch_record.recorded_touch(cache, 2, scale=0.5).foci
+    assert kept.positions == pytest.approx(frame.foci.positions, abs=1e-7)
+    assert kept.pressures == pytest.approx(frame.foci.pressures)
+    assert kept.sigma == pytest.approx(frame.foci.sigma)
     with pytest.raises(CacheMissingError):
         read_foci(cache.directory, 1, cache.meta())
     path = cache.directory / "foci_000002.npz"
@@ -269,8 +276,8 @@ def test_focal_points_are_kept_with_the_bake(studio: Any, tmp_path: Path) -> Non
     assert not path.exists()
 
 
-def test_a_recorded_session_is_felt_again(studio: Any, tmp_path: Path) -> None:
-    """Send what was recorded as the frames go by, without simulating."""
+def test_recorded_touch_is_replayed(studio: Any, tmp_path: Path) -> None:
+    """Send the recorded focal points during playback, without simulating."""
     studio.falling_block(tmp_path, end=3)
     add_array("openmpd")
     cache = Cache(bake(bpy.context).directory)
@@ -285,20 +292,20 @@ def test_a_recorded_session_is_felt_again(studio: Any, tmp_path: Path) -> None:
     assert touch.status
     assert touch.status.foci == 2
     assert touch.shown is not None
-    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    assert touch.shown.foci.positions[0, 2] == pytest.approx(0.2)
     touch_record.replay.paused = True
     studio.scene.frame_set(2)
-    assert touch.shown.positions[0, 2] == pytest.approx(0.2)
+    assert touch.shown.foci.positions[0, 2] == pytest.approx(0.2)
     touch_record.replay.paused = False
     studio.scene.frame_set(3)
     assert touch.shown is None
 
 
 def test_a_picture_of_the_field_lies_in_the_plane_of_the_palm(studio: Any) -> None:
-    """Paint an image that is brightest at the strongest focal point, where the skin is."""
+    """Make an image in the plane of the skin that is brightest at the strongest focal point."""
     assert "no array" in studio.refused(bpy.ops.clay.touch_picture)
     add_array("openmpd")
-    assert "Nothing is felt" in studio.refused(bpy.ops.clay.touch_picture)
+    assert "no focal points" in studio.refused(bpy.ops.clay.touch_picture)
     frame = frame_at(0.2)
     touch.show(frame)
     item = field_picture(studio.scene)
@@ -309,13 +316,13 @@ def test_a_picture_of_the_field_lies_in_the_plane_of_the_palm(studio: Any) -> No
     row, column = np.unravel_index(np.argmax(bright), bright.shape)
     local = (np.array((column, row)) + 0.5) / PIXELS - 0.5
     place = item.matrix_world @ Vector((*(0.16 * local), 0.0))
-    assert tuple(place) == pytest.approx(frame.positions[0], abs=0.004)
+    assert tuple(place) == pytest.approx(frame.foci.positions[0], abs=0.004)
     assert 700.0 < item.data["largest_pressure"] < 1100.0
     assert bpy.ops.clay.touch_picture() == {"FINISHED"}
 
 
 def test_a_frame_without_an_array_is_none(studio: Any) -> None:
-    """Feel nothing where the scene has no array."""
+    """Compute nothing if the scene has no array."""
     assert touch.touch_frame(studio.scene, []) is None
     assert touch.shown is None
 
@@ -324,7 +331,7 @@ def test_a_frame_without_an_array_is_none(studio: Any) -> None:
     not hasattr(tactile_clay.haptics, "PressureField"), reason="there is no pressure field yet"
 )
 def test_contacts_become_focal_points(studio: Any) -> None:
-    """Put focal points where a palm is pressed, none above the ceiling, and forget at rest."""
+    """Put focal points where a palm is pressed, none above the ceiling, and reset at rest."""
     from tactile_clay.tests.bench.touch_latency import palm_contacts
 
     add_array("openmpd")
@@ -333,9 +340,9 @@ def test_contacts_become_focal_points(studio: Any) -> None:
     for number in range(5):
         frame = touch.touch_frame(studio.scene, [palm_contacts(number)], dt=1 / 60)
     assert frame is not None
-    assert 1 <= len(frame.positions) <= 4
-    assert frame.pressures.max() <= 600.0
-    assert np.hypot(*frame.positions[:, :2].T).max() < 0.06
+    assert 1 <= frame.foci.count <= 4
+    assert frame.foci.pressures.max() <= 600.0
+    assert np.hypot(*frame.foci.positions[:, :2].T).max() < 0.06
     assert frame.reconstructed is not None
     assert touch.shown is frame
     kept = touch.touch_frame(studio.scene, [palm_contacts(5)], dt=1 / 60, send=False)
@@ -344,8 +351,24 @@ def test_contacts_become_focal_points(studio: Any) -> None:
     assert touch.shown is None
 
 
-def test_the_overlay_is_left_out_in_the_background() -> None:
-    """Add no draw handler where there is no 3D view."""
+def test_a_live_frame_places_its_array_once(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compute the array's pose once for each frame that is sent."""
+    add_array("openmpd")
+    assert bpy.ops.clay.touch_connect() == {"FINISHED"}
+    placed = []
+
+    def count(scene: Any) -> Any:
+        placed.append(placed_array(scene))
+        return placed[-1]
+
+    monkeypatch.setattr(touch_connection, "placed_array", count)
+    assert touch.touch_frame(studio.scene, []) is not None
+    assert len(placed) == 1
+    touch.disconnect()
+
+
+def test_there_is_no_overlay_in_background_mode() -> None:
+    """Add no draw handler if there is no 3D Viewport."""
     assert bpy.app.background
     touch_overlay.register()
     assert not touch_overlay._drawing.active
@@ -353,11 +376,11 @@ def test_the_overlay_is_left_out_in_the_background() -> None:
 
 
 def test_rings_are_as_large_as_focal_points() -> None:
-    """Draw a ring of one sigma about each focal point, across the sound."""
-    frame = frame_at(0.2)
-    lines, triangles = touch_overlay.focus_rings(frame, np.array((0.0, 0.0, 1.0)))
-    for ring, place in zip(lines, frame.positions, strict=True):
-        assert np.linalg.norm(ring - place, axis=1) == pytest.approx(frame.sigma, rel=1e-4)
+    """Draw a ring with radius sigma around each focal point, perpendicular to the sound."""
+    foci = frame_at(0.2).foci
+    lines, triangles = touch_overlay.focus_rings(foci, np.array((0.0, 0.0, 1.0)))
+    for ring, place in zip(lines, foci.positions, strict=True):
+        assert np.linalg.norm(ring - place, axis=1) == pytest.approx(foci.sigma, rel=1e-4)
         assert ring[:, 2] == pytest.approx(place[2])
     assert triangles.shape == (2, 96, 3)
 
@@ -375,12 +398,14 @@ except (AttributeError, RuntimeError, SystemError) as error:
     os._exit(0)
 from mathutils import Matrix
 from tactile_clay.clay_addon.touch import overlay as touch_overlay
+from tactile_clay.haptics import Foci
 from tactile_clay.haptics.foci.pipeline import TouchFrame
 side = np.linspace(-0.4, 0.4, 40)
 skin = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2)
 skin = np.column_stack((skin, np.full(len(skin), 0.3)))
 felt = np.where(skin[:, 0] < 0.0, 1000.0, 0.0)
-frame = TouchFrame(np.array(((0.5, 0.5, 0.0),)), np.array((500.0,)), 0.2, skin, felt, felt)
+foci = Foci(np.array(((0.5, 0.5, 0.0),)), np.array((500.0,)), np.zeros(0, int), 0.2)
+frame = TouchFrame(foci, skin, felt, felt)
 with screen.bind():
     buffer = gpu.state.active_framebuffer_get()
     buffer.clear(color=(0, 0, 0, 1), depth=1.0)

@@ -13,9 +13,9 @@ from tactile_clay.haptics.acoustics.acoustic_field import _piston, propagation
 ONE = TransducerArray.grid(1, 1, 0.01, p0=2.0, radius=0.0045, speed_of_sound=343.0)
 
 
-def test_focus_on_the_axis_is_that_of_levitate():
-    """Meet levitate 3.0.0: 16 × 16, 10.5 mm, z = 0.2 m, p0 = 6, a = 4.5 mm: 6355.452 Pa."""
-    # levitate's air: c = 343.23714360505863 m/s.
+def test_focus_on_the_axis_agrees_with_levitate():
+    """Match levitate 3.0.0: 16 × 16, 10.5 mm, z = 0.2 m, p0 = 6, a = 4.5 mm: 6355.452 Pa."""
+    # levitate's speed of sound is 343.23714360505863 m/s.
     array = TransducerArray.grid(
         16, 16, 0.0105, p0=6.0, radius=0.0045, speed_of_sound=343.23714360505863
     )
@@ -33,7 +33,7 @@ def test_pressure_on_the_axis_falls_with_distance():
 
 
 def test_directivity_is_that_of_a_piston():
-    """Meet 2 J1(x) / x, by Bessel's integral, up to large pistons."""
+    """Match 2 J1(x) / x, computed by Bessel's integral, up to large pistons."""
     angle = (np.arange(20000) + 0.5) * (math.pi / 20000)
     for ka in (0.5, 3.3, 8.0, 12.0):
         sine = np.linspace(0.01, 1.0, 25)
@@ -43,33 +43,33 @@ def test_directivity_is_that_of_a_piston():
 
 
 def test_nothing_is_emitted_backward():
-    """Leave the space behind the baffle silent."""
+    """Produce no sound behind the baffle."""
     assert acoustic_field(ONE, [1.0], [(0.01, 0, -0.1)])[0] == 0.0
 
 
-def test_a_source_without_size_emits_alike_in_all_directions():
-    """Give the same pressure at the same distance all around in front."""
+def test_a_point_source_emits_equally_in_all_directions():
+    """Give the same pressure at the same distance everywhere in front."""
     source = replace(ONE, radius=0.0)
     points = [(0.1 * math.sin(a), 0.0, 0.1 * math.cos(a)) for a in (0.0, 0.7, 1.5)]
     assert np.allclose(np.abs(acoustic_field(source, [1.0], points)), 20.0)
 
 
 def test_fields_add_up():
-    """Be linear in the drive, and in chunks the same as at once."""
+    """Be linear in the drive, and compute the same in chunks as at once."""
     array = TransducerArray.preset("openmpd")
     random = np.random.default_rng(0)
     first, second = np.exp(2j * np.pi * random.random((2, array.count)))
     points = random.uniform((-0.1, -0.1, 0.05), (0.1, 0.1, 0.3), (3000, 3))
     total = acoustic_field(array, first + 2j * second, points)
-    apart = acoustic_field(array, first, points) + 2j * acoustic_field(array, second, points)
-    assert np.allclose(total, apart)
+    added = acoustic_field(array, first, points) + 2j * acoustic_field(array, second, points)
+    assert np.allclose(total, added)
     assert np.allclose(
         total[1500:1505], propagation(array, points[1500:1505]) @ (first + 2j * second)
     )
 
 
-def test_phase_offsets_turn_what_is_emitted():
-    """Add each transducer's own phase to that of its drive."""
+def test_phase_offsets_shift_the_emitted_phase():
+    """Add each transducer's own phase to the phase of its drive."""
     late = replace(ONE, phase_offsets=np.array([0.7]))
     point = [(0.01, 0.02, 0.1)]
     ratio = acoustic_field(late, [1.0], point) / acoustic_field(ONE, [1.0], point)
@@ -77,7 +77,7 @@ def test_phase_offsets_turn_what_is_emitted():
 
 
 def test_the_field_moves_with_the_array():
-    """Give the same pressure where array and point are moved alike."""
+    """Give the same pressure when array and point move together."""
     array = TransducerArray.preset("ultraino")
     pose = np.array([[0, 0, 1, 0.3], [1, 0, 0, -0.2], [0, 1, 0, 0.5], [0, 0, 0, 1.0]])
     point = np.array([0.02, -0.01, 0.12])
@@ -88,12 +88,12 @@ def test_the_field_moves_with_the_array():
 
 
 def test_a_point_on_a_transducer_is_finite():
-    """Stay finite where the far-field formula does not hold."""
+    """Stay finite where the far-field formula is not valid."""
     found = acoustic_field(ONE, [1.0], [(0, 0, 0), (0, 0, 1e-9)])
     assert np.isfinite(found).all()
 
 
-def test_a_drive_of_another_size_is_refused():
+def test_a_drive_of_the_wrong_size_is_refused():
     """Say how many values a drive needs."""
     with pytest.raises(ValueError, match=r"\(1,\)"):
         acoustic_field(ONE, [1.0, 1.0], [(0, 0, 0.1)])

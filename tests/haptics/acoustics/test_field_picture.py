@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of the sound: the plane of the palm, the pressure on it, and its colors."""
+"""Pictures of the sound: the plane of the palm, the pressure on it, and the colors."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ UP = np.array((0.0, 0.0, 1.0))
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.integers(0, 2**16))
 def test_a_flat_palm_is_found(tilt: float, lean: float, seed: int) -> None:
-    """Find middle and normal of flat skin, with axes that are a turn, whatever its slope."""
+    """Find the center, normal and orthonormal axes of flat skin at any slope."""
     random = np.random.default_rng(seed)
     normal = np.array((tilt, lean, 2.0))
     normal /= np.linalg.norm(normal)
-    place = np.array((0.1, 0.2, 0.3))
-    points = place + random.uniform(-0.04, 0.04, (60, 3))
-    points -= np.outer((points - place) @ normal, normal)
+    center = np.array((0.1, 0.2, 0.3))
+    points = center + random.uniform(-0.04, 0.04, (60, 3))
+    points -= np.outer((points - center) @ normal, normal)
     middle, axes = palm_plane(points, np.ones(60), UP)
     assert middle == pytest.approx(points.mean(axis=0))
     assert axes[:, 2] == pytest.approx(normal, abs=1e-6)
@@ -30,7 +30,7 @@ def test_a_flat_palm_is_found(tilt: float, lean: float, seed: int) -> None:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_points_lie_across_the_sound(count: int) -> None:
-    """Take the sound's direction for the normal where points span no plane."""
+    """Use the direction of the sound as the normal if the points span no plane."""
     points = np.array(((0.0, 0.0, 0.2), (0.03, 0.0, 0.21)))[:count]
     _, axes = palm_plane(points, np.zeros(count), UP)
     assert axes[:, 2] == pytest.approx(UP)
@@ -38,7 +38,7 @@ def test_too_few_points_lie_across_the_sound(count: int) -> None:
 
 
 def test_the_picture_is_the_field() -> None:
-    """Hold at each pixel what the field is there, the lowest row first."""
+    """Give the field at each pixel, bottom row first."""
     array = TransducerArray.preset("sonicsurface")
     drive = solve_drive(array, np.array(((0.02, 0.01, 0.2),)), np.array((900.0,)))
     values = field_on_plane(array, drive, (0.0, 0.0, 0.2), np.eye(3), size=0.1, count=50)
@@ -50,7 +50,7 @@ def test_the_picture_is_the_field() -> None:
 
 
 def test_colors_grow_brighter() -> None:
-    """Paint more pressure brighter, from nothing to the largest and beyond."""
+    """Paint higher pressure brighter, from zero to beyond the largest."""
     colors = pressure_colors(np.linspace(0.0, 1500.0, 40), 1000.0)
     bright = colors[:, :3].sum(axis=1)
     assert (np.diff(bright) >= 0.0).all()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays: presets, grids, placing them, and what is refused."""
+"""Arrays: presets, grids, poses, and invalid values."""
 
 from pathlib import Path
 
@@ -13,8 +13,8 @@ from tactile_clay.haptics import TransducerArray
 PRESETS = ("autd3", "openmpd", "sonicsurface", "stratos_explore", "ultraino")
 
 
-def test_presets_are_those_there_are():
-    """Ship the five arrays, and name them when another is asked for."""
+def test_unknown_preset_lists_the_known_ones():
+    """Ship five arrays, and list them when an unknown one is requested."""
     assert tuple(TransducerArray.preset_names()) == PRESETS
     with pytest.raises(ValueError, match="sonicsurface"):
         TransducerArray.preset("sonic_surface")
@@ -31,7 +31,7 @@ def test_presets_are_those_there_are():
     ],
 )
 def test_preset_has_its_geometry(name, count, width, phases, amplitudes):
-    """Lay out as many transducers as wide as the device has, with its steps, centered."""
+    """Match the device's transducer count, width and steps, centered on the origin."""
     array = TransducerArray.preset(name)
     assert array.count == count
     assert np.ptp(array.positions[:, 0]) == pytest.approx(width)
@@ -42,7 +42,7 @@ def test_preset_has_its_geometry(name, count, width, phases, amplitudes):
 
 
 def test_grid_lists_columns_first_and_leaves_gaps():
-    """Let x grow fastest, then y, and skip places without a transducer."""
+    """Increase X fastest, then Y, and skip places without a transducer."""
     array = TransducerArray.grid(3, 2, 0.01, missing=[(1, 0)], p0=1.0, radius=0.004)
     expected = [(-1, -0.5), (1, -0.5), (-1, 0.5), (0, 0.5), (1, 0.5)]
     assert np.allclose(array.positions[:, :2], 0.01 * np.array(expected))
@@ -54,7 +54,7 @@ def test_grid_lists_columns_first_and_leaves_gaps():
     st.lists(st.floats(-1, 1), min_size=3, max_size=3),
 )
 def test_placing_is_rigid_and_can_be_undone(turn, shift):
-    """Keep distances, turn normals along, and come back to where it was."""
+    """Keep distances, rotate normals too, and return to the start."""
     array = TransducerArray.preset("ultraino")
     placed = array.placed(rotation(turn, shift))
     spans = np.linalg.norm(placed.positions - placed.positions[0], axis=1)
@@ -66,7 +66,7 @@ def test_placing_is_rigid_and_can_be_undone(turn, shift):
 
 
 def test_working_volume_moves_with_the_array():
-    """Tell which points foci may lie on, in the array's own frame."""
+    """Test points in the array's own frame."""
     array = TransducerArray.preset("sonicsurface").placed(rotation((0, np.pi / 2, 0), (1, 0, 0)))
     points = [(1.2, 0, 0), (0.8, 0, 0), (1.2, 0.2, 0), (np.nan, 0, 0)]
     assert array.reaches(points).tolist() == [True, False, False, False]
@@ -74,8 +74,8 @@ def test_working_volume_moves_with_the_array():
 
 @pytest.mark.parametrize("matrix", [np.diag((2.0, 2, 2, 1)), np.diag((-1.0, 1, 1, 1)), np.eye(3)])
 def test_a_pose_that_is_not_rigid_is_refused(matrix):
-    """Say that an array can only be moved and turned."""
-    with pytest.raises(ValueError, match="moved and turned"):
+    """Say that an array can only be moved and rotated."""
+    with pytest.raises(ValueError, match="moved and rotated"):
         TransducerArray.preset("ultraino").placed(matrix)
 
 
@@ -93,7 +93,7 @@ def test_a_pose_that_is_not_rigid_is_refused(matrix):
     ],
 )
 def test_bad_values_are_refused(change, message):
-    """Name the value that is wrong."""
+    """Name the invalid value."""
     values = {
         "positions": np.zeros((2, 3)),
         "normals": np.array((0.0, 0.0, 1.0)),
@@ -109,10 +109,11 @@ def test_bad_values_are_refused(change, message):
     [
         ("not toml", "valid TOML"),
         ("[grid]\ncolumns = 2\nrows = 2\npitch = 0.01", "no \\[array\\]"),
+        ("grid = 3\n[array]\np0 = 1.0\nradius = 0.0", "grid is 3; it must be a table"),
         ("[array]\np0 = 1.0\nsize = 3", "unknown key 'size'"),
         ("[array]\np0 = 'loud'", "must be a number"),
         ("[grid]\ncolumns = 2\nrows = 2\npitch = 0.01\n[array]\np0 = 1.0", "radius"),
-        ("[grid]\ncolumns = 0\nrows = 2\npitch = 1.0\n[array]\np0 = 1.0\nradius = 0.0", "laid out"),
+        ("[grid]\ncolumns = 0\nrows = 2\npitch = 1.0\n[array]\np0 = 1.0\nradius = 0.0", "0 × 2"),
         (
             "[grid]\ncolumns = 2\nrows = 2\npitch = 1.0\nmissing = [[5, 0]]\n[array]\np0 = 1.0",
             "grid",
@@ -120,7 +121,7 @@ def test_bad_values_are_refused(change, message):
     ],
 )
 def test_a_damaged_file_is_refused(tmp_path: Path, text: str, message: str):
-    """Say which file, and what is wrong with it."""
+    """Name the file, and say what is wrong with it."""
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=message) as caught:
@@ -128,8 +129,8 @@ def test_a_damaged_file_is_refused(tmp_path: Path, text: str, message: str):
     assert "mine.toml" in str(caught.value)
 
 
-def test_an_array_of_ones_own_is_read(tmp_path: Path):
-    """Take places one by one from a file, with their normals."""
+def test_a_custom_array_is_read(tmp_path: Path):
+    """Read individual positions and normals from a file."""
     path = tmp_path / "bowl.toml"
     path.write_text(
         "[array]\npositions = [[0, 0, 0], [0.01, 0, 0]]\nnormals = [[0, 0, 1], [1, 0, 0]]\n"
@@ -156,11 +157,11 @@ def rotation(turn, shift) -> np.ndarray:
 
 
 def test_preset_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Open no file for an array that was asked for before: live frames ask for it each time."""
+    """Open no file for an array that was read before, because live frames need it every time."""
     first = {name: TransducerArray.preset(name) for name in TransducerArray.preset_names()}
 
     def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("a file is read")
+        raise AssertionError("a file was read")
 
     for method in ("read_text", "open", "glob"):
         monkeypatch.setattr(Path, method, refuse)

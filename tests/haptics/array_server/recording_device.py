@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A device that writes down what it is told, and a server around it whose clock a test turns."""
+"""A device that records its calls, and a server around it whose clock the test controls."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_clay.haptics.protocol.datagram import Kind, encode
 
 
 class RecordingDevice(Device):
-    """Takes everything at once."""
+    """Accepts everything immediately."""
 
     def __init__(self, preset: str = "sonicsurface") -> None:
         self.array = TransducerArray.preset(preset)
@@ -56,7 +56,7 @@ class RecordingDevice(Device):
 
 
 class Bench:
-    """A server in this process, and a socket to throw things at it."""
+    """A server in this process, and a socket to send datagrams to it."""
 
     def __init__(self, *, limits: Limits | None = None, preset: str = "sonicsurface") -> None:
         self.now = 1000.0
@@ -66,8 +66,8 @@ class Bench:
         self.socket.bind(("127.0.0.1", 0))
         self.sequence = 0
 
-    def throw(self, data: bytes) -> None:
-        """Send bytes, and let the server look."""
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes, and let the server handle them."""
         self.socket.sendto(data, ("127.0.0.1", self.server.port))
         self.server.step(0.0)
 
@@ -76,11 +76,11 @@ class Bench:
         rows: NDArray[np.floating] | list[tuple[float, float, float, float]],
         **changes: Any,
     ) -> None:
-        """Send focal points that are right unless something is changed."""
+        """Send valid focal points, with changes to the header."""
         table = np.asarray(rows, np.float32).reshape(-1, 4)
         self.sequence += 1
         values: dict[str, Any] = {"session": 77, "sequence": self.sequence, "time": self.now}
-        self.throw(
+        self.send_bytes(
             encode(
                 Kind.FOCI,
                 **(values | changes),
@@ -90,12 +90,12 @@ class Bench:
         )
 
     def pass_time(self, seconds: float, step: float = 0.01) -> None:
-        """Let time pass, and the server look all the while."""
+        """Advance the clock in steps, with a pass of the server's loop after each."""
         for _ in range(round(seconds / step)):
             self.now += step
             self.server.step(0.0)
 
     def close(self) -> None:
-        """End the server."""
+        """Close the server."""
         self.socket.close()
         self.server.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command ``array-server``: what it says, and what it refuses."""
+"""The command ``array-server``: its output and its errors."""
 
 import os
 import signal
@@ -19,10 +19,10 @@ from tactile_clay.haptics.devices import DeviceError, FoundDevice, serial_port
 from tactile_clay.tests.haptics.peers.harness import PATIENCE, TWO_FOCI, keep_sending
 
 
-def test_plugged_in_devices_are_listed(
+def test_connected_devices_are_listed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """List serial ports of USB adapters as devices, and say what cannot be looked for."""
+    """List serial ports of USB adapters as devices, and say which kinds cannot be searched for."""
 
     adapter = SimpleNamespace(
         device="/dev/ttyUSB7", description="CH340", hwid="USB VID:PID=1A86:7523", vid=0x1A86
@@ -46,7 +46,7 @@ def test_plugged_in_devices_are_listed(
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ([], 2, "name a device"),
+        ([], 2, "give a device"),
         (["theremin"], 2, "There is no device 'theremin'. There are: simulated, sonicsurface"),
         (["simulated:theremin"], 2, "no array preset 'theremin'"),
         (["simulated:a,b,c"], 2, "NAME:ADDRESS,KEY=VALUE"),
@@ -55,16 +55,16 @@ def test_plugged_in_devices_are_listed(
         (["simulated", "--pressure-cap", "nan"], 2, "at most 2000"),
     ],
 )
-def test_what_is_wrong_is_said(
+def test_wrong_arguments_are_explained(
     words: list[str], code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Refuse what cannot be, and say what can."""
+    """Refuse wrong arguments, and say what is possible."""
     assert main(["array-server", *words]) == code
     assert said in capsys.readouterr().err
 
 
-def test_help_tells_devices_and_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
-    """Tell all devices and what keeps them safe."""
+def test_help_lists_devices_and_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    """List all devices, the exit codes and the safety limits."""
     assert main(["array-server", "--help"]) == 0
     said = capsys.readouterr().out
     for word in ("simulated", "sonicsurface", "ultraino", "openmpd", "autd3", "stratos_explore"):
@@ -74,12 +74,12 @@ def test_help_tells_devices_and_exit_codes(capsys: pytest.CaptureFixture[str]) -
 
 
 def has_foci(out: ArrayClient) -> bool:
-    """Whether two focal points sound."""
+    """Whether two focal points are being emitted."""
     return out.status().foci == 2
 
 
 def start_by_hand(*words: str) -> subprocess.Popen[str]:
-    """The command in a process of its own, as people start it."""
+    """Run the command in a separate process, as users do."""
     code = "from tactile_clay.clay_addon.command.line import run; run()"
     return subprocess.Popen(
         [sys.executable, "-c", code, "array-server", *words],
@@ -89,8 +89,8 @@ def start_by_hand(*words: str) -> subprocess.Popen[str]:
     )
 
 
-def test_a_server_started_by_hand_serves_who_knows_its_port() -> None:
-    """Say where it listens, serve one client after another, and end on Ctrl-C."""
+def test_a_server_started_by_hand_serves_any_client() -> None:
+    """Print the port, serve one client after another, and end on Ctrl-C."""
     process = start_by_hand("simulated:openmpd", "--port", "0")
     assert process.stdout
     line = process.stdout.readline()
@@ -102,20 +102,20 @@ def test_a_server_started_by_hand_serves_who_knows_its_port() -> None:
     taken = start_by_hand("simulated", "--port", str(port))
     _, said = taken.communicate(timeout=PATIENCE)
     assert taken.returncode == 1
-    assert f"port {port} cannot be listened on" in said
+    assert f"cannot listen on port {port}" in said
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE) == 0
     process.communicate()
 
 
 def test_a_client_says_why_a_server_does_not_start() -> None:
-    """Raise with what the server says, for a device that there is not and for caps too high."""
+    """Quote the server's output for an unknown device."""
     with pytest.raises(ArrayServerError, match="no device 'theremin'"):
         ArrayClient.start("theremin")
 
 
 def test_a_clients_caps_reach_the_server() -> None:
-    """Start with the limits asked for, and keep to them."""
+    """Start a server with given limits, which it then obeys."""
     limits = Limits(pressure=300.0, amplitude=0.5, on_time=60.0)
     with ArrayClient.start("simulated:openmpd", limits=limits) as out:
         keep_sending(out, TWO_FOCI, lambda: bool(out.drive().any()), "sound")
@@ -123,8 +123,8 @@ def test_a_clients_caps_reach_the_server() -> None:
         assert abs(out.drive()).max() <= 0.5
 
 
-def test_a_client_of_nobody_is_told_so() -> None:
-    """Send into the void without an error, and say that nobody is heard."""
+def test_a_client_without_a_server_knows() -> None:
+    """Send without an error if nobody listens, and report it in the status."""
     with ArrayClient(9) as out:
         out.send(TWO_FOCI)
         out.send(TWO_FOCI)
@@ -134,7 +134,7 @@ def test_a_client_of_nobody_is_told_so() -> None:
 
 
 def test_a_status_that_has_waited_is_out_of_date() -> None:
-    """Take a server for lost whose last word lay unread while it was gone."""
+    """Count a server as lost if its last status arrived long before it was read."""
     process = start_by_hand("simulated", "--port", "0")
     assert process.stdout
     port = int(process.stdout.readline().rsplit(":", 1)[1])
@@ -150,7 +150,7 @@ def test_a_status_that_has_waited_is_out_of_date() -> None:
 
 
 def test_the_guard_of_a_simulated_array_ends_with_it() -> None:
-    """Leave no process behind."""
+    """Leave no process running."""
     with ArrayClient.start("simulated") as out:
         keep_sending(out, TWO_FOCI, lambda: out.status().emitting, "sound")
         assert out.process
@@ -178,7 +178,7 @@ def _alive(pid: int) -> bool:
     return True
 
 
-def test_the_module_of_the_command_parses_alone(capsys: pytest.CaptureFixture[Any]) -> None:
-    """Serve as the start of a process of its own, as the client uses it."""
+def test_the_command_can_be_run_from_its_module(capsys: pytest.CaptureFixture[Any]) -> None:
+    """Parse arguments itself, as it must in a process that a client starts."""
     assert command.main(["--nonsense"]) == 2
     assert "unrecognized" in capsys.readouterr().err

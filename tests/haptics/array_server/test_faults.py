@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whatever happens to client, server or wire, an array that never stops by itself is silenced."""
+"""An array without a watchdog is silenced whatever happens to the client, server or wire."""
 
 import os
 import signal
@@ -37,20 +37,20 @@ def board(request: pytest.FixtureRequest) -> Iterator[Peer]:
 
 @pytest.fixture
 def stock() -> Iterator[Peer]:
-    """A SonicSurface that powers up with sound."""
+    """A SonicSurface that sounds after power-up."""
     with peer("sonicsurface_peer", "stock", "1") as started:
         started.firmware = "stock"  # type: ignore[attr-defined]
         yield started
 
 
 def name_of(board: Peer, port: str = "") -> str:
-    """The board as a device."""
+    """The device name of the board."""
     firmware = board.firmware  # type: ignore[attr-defined]
     return f"sonicsurface:{port or board.first['port']},firmware={firmware}"
 
 
 def sound(out: ArrayClient, board: Peer) -> None:
-    """Send until the board sounds with what was sent."""
+    """Send until the board emits what was sent."""
     keep_sending(out, TWO_FOCI, lambda: out.status().frames_per_second > 3, "frames")
     keep_sending(out, TWO_FOCI, lambda: board.ask("state")["sounds"], "sound")
 
@@ -69,14 +69,14 @@ def has_silent_half(state: dict[str, Any]) -> bool:
         pytest.param(lambda out: out.process.send_signal(signal.SIGTERM), OFF_WITHIN, id="SIGTERM"),
         pytest.param(lambda out: out.process.send_signal(signal.SIGINT), OFF_WITHIN, id="SIGINT"),
         pytest.param(lambda out: out.process.stdin.close(), OFF_WITHIN, id="lost client"),
-        # The guard has the port to open first.
+        # The guard must open the port first.
         pytest.param(lambda out: out.process.kill(), 0.5, id="SIGKILL"),
-        # And first to find out, by a second without a word.
+        # The guard also needs a second to notice.
         pytest.param(lambda out: out.process.send_signal(signal.SIGSTOP), 1.6, id="SIGSTOP"),
     ],
 )
 def test_sound_ends(stock: Peer, end: Callable[[ArrayClient], None], limit: float) -> None:
-    """Be silent within 250 ms of the last data or a signal, and soon after the server's death."""
+    """Be silent within 250 ms of the last data or a signal, and soon after the server is killed."""
 
     def attempt() -> float:
         with ArrayClient.start(name_of(stock)) as out:
@@ -89,7 +89,7 @@ def test_sound_ends(stock: Peer, end: Callable[[ArrayClient], None], limit: floa
 
 
 def test_sound_ends_when_the_client_is_killed(board: Peer) -> None:
-    """Be silent within 250 ms of the SIGKILL of the process that sends, and end the server."""
+    """Be silent within 250 ms of a SIGKILL of the sending process, and end the server."""
 
     def attempt() -> float:
         client = Peer("lonely_client", name_of(board))
@@ -109,14 +109,14 @@ def test_sound_ends_when_the_client_is_killed(board: Peer) -> None:
 
 
 def test_a_board_that_reboots_is_silenced(stock: Peer) -> None:
-    """Silence a board that powers up with sound while nothing is sent, within 250 ms."""
+    """Silence a board within 250 ms if it sounds after power-up and nothing is sent."""
     with ArrayClient.start(name_of(stock)):
         stock.wait(lambda state: not state["sounds"], "silence")
         check_lateness(lambda: lateness(stock, stock.ask("reboot")["time"]))
 
 
-def test_a_board_that_reboots_with_sound_on_gets_its_silent_half_back(stock: Peer) -> None:
-    """Write the silence between two bursts anew, which a reboot has replaced by sound."""
+def test_a_board_that_reboots_while_sounding_gets_its_silent_pattern_back(stock: Peer) -> None:
+    """Rewrite the silent pattern between two bursts, which a reboot has replaced with sound."""
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
         stock.ask("reboot")
@@ -130,7 +130,7 @@ def test_a_board_that_reboots_with_sound_on_gets_its_silent_half_back(stock: Pee
 
 
 def test_unplugging_is_survived(stock: Peer, tmp_path: Path) -> None:
-    """Say that the port is gone, live on, and silence the array when it is plugged in again."""
+    """Report a lost port, keep running, and silence the array when it is plugged in again."""
     link = tmp_path / "port"
     link.symlink_to(stock.first["port"])
     with ArrayClient.start(name_of(stock, str(link))) as out:
@@ -146,20 +146,20 @@ def test_unplugging_is_survived(stock: Peer, tmp_path: Path) -> None:
         sound(out, stock)
 
 
-def test_a_peer_that_stalls_is_given_up(stock: Peer) -> None:
-    """Give up a port that takes nothing, and leave no sound in its buffers for later."""
+def test_a_port_that_stalls_is_abandoned(stock: Peer) -> None:
+    """Abandon a port that accepts no data, and leave no sound in its buffers for later."""
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
         stock.ask("stall")
         keep_sending(out, TWO_FOCI, lambda: out.status().losses > 0, "a write timeout")
-        assert "takes no data" in out.status().fault
+        assert "accepts no data" in out.status().fault
         time.sleep(0.3)
         check_lateness(lambda: lateness(stock, stock.ask("resume")["time"]))
         sound(out, stock)
 
 
-def test_half_a_frame_does_not_matter(stock: Peer) -> None:
-    """Silence a board that was left in the middle of a frame, with another board selected."""
+def test_an_incomplete_frame_does_not_matter(stock: Peer) -> None:
+    """Silence a board that stopped in the middle of a frame, with another board selected."""
     port = os.open(stock.first["port"], os.O_WRONLY | os.O_NOCTTY)
     os.write(port, bytes([0xFE]) + bytes(100) + bytes([0xC1]))
     stock.wait(lambda state: state["read"] == 102, "half a frame")
@@ -170,8 +170,8 @@ def test_half_a_frame_does_not_matter(stock: Peer) -> None:
         sound(out, stock)
 
 
-def test_a_second_server_is_kept_out(stock: Peer) -> None:
-    """Refuse a port that another process drives, and say so."""
+def test_a_second_server_is_locked_out(stock: Peer) -> None:
+    """Refuse to open a port that another process uses, and say so."""
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
         with ArrayClient.start(name_of(stock)) as other:
@@ -182,8 +182,8 @@ def test_a_second_server_is_kept_out(stock: Peer) -> None:
             assert not other.status().connected
 
 
-def test_the_guard_does_nothing_after_an_orderly_end(stock: Peer) -> None:
-    """Leave the port alone once the server has ended as it should."""
+def test_the_guard_does_nothing_after_a_normal_end(stock: Peer) -> None:
+    """Leave the port alone after the server has ended normally."""
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
     lateness(stock, time.monotonic())
@@ -195,7 +195,7 @@ def test_the_guard_does_nothing_after_an_orderly_end(stock: Peer) -> None:
 
 
 def test_a_guard_that_was_killed_is_replaced(stock: Peer) -> None:
-    """Start another guard when the first is gone, which then does its work."""
+    """Start another guard if the first is killed, and let it silence the array."""
     with ArrayClient.start(name_of(stock)) as out:
         sound(out, stock)
         assert out.process
@@ -205,11 +205,11 @@ def test_a_guard_that_was_killed_is_replaced(stock: Peer) -> None:
         keep_sending(out, TWO_FOCI, lambda: children_of(server) not in ([], [first]), "a new guard")
         out.process.kill()
         lateness(stock, time.monotonic())
-        stock.wait(lambda state: set(state["hidden"]) == set(state["pattern"]) == {32}, "its work")
+        stock.wait(lambda state: set(state["hidden"]) == set(state["pattern"]) == {32}, "silence")
 
 
 def children_of(parent: int) -> list[int]:
-    """Processes that a process has started and that live."""
+    """Running child processes of a process."""
     table = subprocess.run(
         ["ps", "-eo", "pid=,ppid=,stat="], capture_output=True, text=True, check=True
     ).stdout

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The server's rules, on a clock that the test turns: only fresh, valid, capped foci sound."""
+"""The server's rules, with a simulated clock: only recent, valid, capped foci are emitted."""
 
 import random
 import re
@@ -25,20 +25,20 @@ FOCUS = [(0.0, 0.0, 0.15, 800.0)]
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    """A server on a turned clock."""
+    """A server with a simulated clock."""
     started = Bench()
     started.server.step(0.0)
     yield started
     started.close()
 
 
-def test_it_listens_on_loopback_alone(bench: Bench) -> None:
-    """Bind 127.0.0.1, so that no other machine reaches an array."""
+def test_it_listens_on_loopback_only(bench: Bench) -> None:
+    """Bind to 127.0.0.1, so that no other machine can reach an array."""
     assert bench.server._socket.getsockname()[0] == "127.0.0.1"
 
 
 def test_sound_follows_focal_points_and_ends_with_them(bench: Bench) -> None:
-    """Sound while they come, be silent 150 ms after the last, and say so."""
+    """Emit while focal points arrive, be silent 150 ms after the last, and report it."""
     for _ in range(10):
         bench.send(FOCUS)
         bench.pass_time(0.016, 0.016)
@@ -53,8 +53,8 @@ def test_sound_follows_focal_points_and_ends_with_them(bench: Bench) -> None:
 @pytest.mark.parametrize(
     "rows", [[], [(0.0, 0.0, 0.15, 0.0)], [(0.0, 0.0, 5.0, 900.0)]], ids=["none", "0 Pa", "outside"]
 )
-def test_silence_is_obeyed_at_once(bench: Bench, rows: list) -> None:
-    """Take no focal points, those of 0 Pa and those outside the working volume for silence."""
+def test_silence_is_obeyed_immediately(bench: Bench, rows: list) -> None:
+    """Be silent for no focal points, for 0 Pa and for focal points outside the working volume."""
     bench.send(FOCUS)
     assert bench.device.sounds
     bench.send(rows)
@@ -63,7 +63,7 @@ def test_silence_is_obeyed_at_once(bench: Bench, rows: list) -> None:
 
 @pytest.mark.parametrize("jump", [0.2, 10.0, 1e6, -0.006, -10.0, -900.0])
 def test_a_clock_that_jumps_ends_sound(bench: Bench, jump: float) -> None:
-    """Be silent at once when the clock jumps either way, and go on with what is fresh by it."""
+    """Be silent immediately when the clock jumps, and continue with datagrams recent by it."""
     bench.send(FOCUS)
     assert bench.device.sounds
     bench.now += jump
@@ -73,8 +73,8 @@ def test_a_clock_that_jumps_ends_sound(bench: Bench, jump: float) -> None:
     assert bench.device.sounds
 
 
-def test_no_clock_that_people_set_is_used(repository: Path) -> None:
-    """Read the monotonic clock alone: the wall clock may be set while there is sound."""
+def test_the_wall_clock_is_not_used(repository: Path) -> None:
+    """Use only the monotonic clock, because users may set the wall clock while there is sound."""
     for folder in ("array_server", "devices"):
         for path in (repository / "haptics" / folder).rglob("*.py"):
             assert not re.search(r"time\.time\(|datetime\.|time\.time_ns", path.read_text("utf-8"))
@@ -90,8 +90,8 @@ def test_no_clock_that_people_set_is_used(repository: Path) -> None:
     ],
     ids=["old", "from the future", "another session", "out of order"],
 )
-def test_what_is_not_from_here_and_now_is_refused(bench: Bench, changes: dict) -> None:
-    """Refuse datagrams that are old, early, of another session or overtaken, and count them."""
+def test_datagrams_with_a_wrong_time_or_session_are_refused(bench: Bench, changes: dict) -> None:
+    """Refuse datagrams that are old, early, of another session or out of order, and count them."""
     bench.send(FOCUS, time=999.99)
     bench.device.log.clear()
     bench.send([(0.01, 0.0, 0.15, 500.0)], **changes)
@@ -99,10 +99,8 @@ def test_what_is_not_from_here_and_now_is_refused(bench: Bench, changes: dict) -
     assert sum(bench.server.status(bench.now)["refused"].values()) == 1
 
 
-def test_a_busy_device_gets_the_newest_and_no_queue(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Drop what newer focal points have replaced, and count it."""
+def test_a_busy_device_gets_only_the_newest(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drop focal points that newer ones have replaced, and count them."""
     monkeypatch.setattr(type(bench.device), "busy", lambda self, now: max(0.0, 1000.05 - now))
     for index in range(5):
         bench.send([(0.01 * index, 0.0, 0.15, 500.0)])
@@ -115,8 +113,8 @@ def test_a_busy_device_gets_the_newest_and_no_queue(
     assert bench.server.status(bench.now)["dropped"] == 4
 
 
-def test_of_too_many_focal_points_the_strongest_stay(bench: Bench) -> None:
-    """Let through as many as the device takes, in their order."""
+def test_the_strongest_of_too_many_focal_points_are_kept(bench: Bench) -> None:
+    """Admit as many as the device supports, in the original order."""
     pressures = [100.0 + (17 * index) % 40 for index in range(40)]
     bench.send([(0.001 * index, 0.0, 0.15, p) for index, p in enumerate(pressures)])
     (_, emission) = bench.device.emissions[-1]
@@ -124,8 +122,8 @@ def test_of_too_many_focal_points_the_strongest_stay(bench: Bench) -> None:
     assert emission.pressures.tolist() == kept
 
 
-def test_caps_hold_whatever_is_asked_for() -> None:
-    """Lower pressures and amplitudes to the caps, for arrays with amplitudes and without."""
+def test_caps_always_hold() -> None:
+    """Lower pressures and amplitudes to the caps, for arrays with and without amplitude steps."""
     for preset in ("openmpd", "sonicsurface", "stratos_explore"):
         started = Bench(limits=Limits(amplitude=0.3, pressure=700.0), preset=preset)
         started.server.step(0.0)
@@ -144,7 +142,7 @@ def test_caps_hold_whatever_is_asked_for() -> None:
     "values", [(0.0, 1.0, 1.0), (1.1, 1.0, 1.0), (1.0, 2001.0, 1.0), (1.0, 1.0, 121.0)]
 )
 def test_caps_can_only_be_lowered(values: tuple[float, float, float]) -> None:
-    """Refuse caps above the built-in ones, and of nothing."""
+    """Refuse caps of 0 and above the built-in ones."""
     with pytest.raises(ValueError, match="at most"):
         Limits(*values)
 
@@ -156,7 +154,7 @@ def test_caps_can_only_be_lowered(values: tuple[float, float, float]) -> None:
 )
 @settings(max_examples=40)
 def test_a_capped_drive_keeps_its_phases(amplitudes: np.ndarray, limit: float, preset: str) -> None:
-    """Cap amplitudes, or their mean, and turn no phase."""
+    """Cap amplitudes or their mean without changing phases."""
     array = TransducerArray.preset(preset)
     phases = np.exp(1j * np.linspace(0.0, 50.0, 256))
     if preset == "sonicsurface":
@@ -169,7 +167,7 @@ def test_a_capped_drive_keeps_its_phases(amplitudes: np.ndarray, limit: float, p
 
 
 def test_sound_without_a_pause_is_limited() -> None:
-    """Pause after the on-time limit though focal points go on, and sound at most half the time."""
+    """Pause at the on-time limit although focal points continue; sound at most half the time."""
     started = Bench(limits=Limits(on_time=12.0), preset="ultraino")
     started.server.step(0.0)
     sounding = []
@@ -184,8 +182,8 @@ def test_sound_without_a_pause_is_limited() -> None:
     started.close()
 
 
-def test_on_time_counts_nothing_twice() -> None:
-    """Give back a second of sound for a second of silence, and no more than all."""
+def test_on_time_is_restored_by_silence() -> None:
+    """Restore a second of sound for each second of silence, up to the limit."""
     counter = OnTime(10.0)
     counter.advance(0.0, emitting=False)
     for second in range(1, 7):
@@ -199,7 +197,7 @@ def test_on_time_counts_nothing_twice() -> None:
 
 
 def test_a_device_that_breaks_is_opened_again(bench: Bench) -> None:
-    """Say what is wrong, keep trying, and begin again with silence."""
+    """Report the fault, keep trying, and start again with silence."""
     bench.send(FOCUS)
     bench.device.broken = True
     bench.send(FOCUS)
@@ -215,7 +213,7 @@ def test_a_device_that_breaks_is_opened_again(bench: Bench) -> None:
 
 
 def test_an_exception_ends_in_silence(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Silence the device when the loop fails with whatever it may be."""
+    """Silence the device if the loop fails with any exception."""
 
     def fail(*values: object) -> None:
         raise RuntimeError("broken")
@@ -241,7 +239,7 @@ def test_an_exception_ends_in_silence(bench: Bench, monkeypatch: pytest.MonkeyPa
 
 
 def check_emissions(bench: Bench) -> None:
-    """Whatever reached the device is valid, fresh and capped."""
+    """Check that everything sent to the device is valid and capped."""
     array, limits = bench.device.array, bench.server.limits
     for _, emission in bench.device.emissions:
         assert 0 < len(emission.positions) <= bench.device.maximum_foci
@@ -250,7 +248,7 @@ def check_emissions(bench: Bench) -> None:
         assert (emission.pressures > 0.0).all()
         assert (emission.pressures <= limits.pressure).all()
         assert np.isfinite(emission.drive).all()
-        # Transducers that are on or off are capped in their number.
+        # For transducers that are only on or off, the cap limits their number.
         assert np.abs(emission.drive).mean() <= limits.amplitude + 1e-9
 
 
@@ -275,7 +273,7 @@ numbers = st.one_of(
 )
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_nothing_but_valid_fresh_capped_foci_reaches_a_device(messages: list) -> None:
-    """Throw well-formed and ill-formed datagrams at the server, with any numbers in them."""
+    """Send valid and corrupted datagrams with arbitrary numbers to the server."""
     bench = Bench(limits=Limits(amplitude=0.9, pressure=500.0), preset="ultraino")
     bench.server.step(0.0)
     fresh_until = -np.inf
@@ -297,7 +295,7 @@ def test_nothing_but_valid_fresh_capped_foci_reaches_a_device(messages: list) ->
         for _ in range(turned):
             broken[random.randrange(len(broken))] ^= 1 << random.randrange(8)
         count = len(bench.device.emissions)
-        bench.throw(bytes(broken))
+        bench.send_bytes(bytes(broken))
         if len(bench.device.emissions) > count:
             assert session == 77
             assert kind is Kind.FOCI
@@ -314,17 +312,17 @@ def test_nothing_but_valid_fresh_capped_foci_reaches_a_device(messages: list) ->
 
 @given(st.lists(st.binary(max_size=200), max_size=20))
 @settings(max_examples=40, deadline=None)
-def test_noise_never_sounds(datagrams: list[bytes]) -> None:
-    """Throw bytes at the server that nobody wrote for it."""
+def test_random_bytes_never_sound(datagrams: list[bytes]) -> None:
+    """Ignore arbitrary bytes."""
     bench = Bench()
     for data in datagrams:
-        bench.throw(data)
+        bench.send_bytes(data)
     assert bench.device.emissions == []
     bench.close()
 
 
-def test_a_flood_does_not_keep_it_from_its_duties(bench: Bench) -> None:
-    """End sound in time while nonsense comes in without a pause."""
+def test_a_flood_does_not_block_the_loop(bench: Bench) -> None:
+    """End sound in time while invalid datagrams arrive continuously."""
     bench.send(FOCUS)
     assert bench.device.sounds
     for _ in range(300):
@@ -335,7 +333,7 @@ def test_a_flood_does_not_keep_it_from_its_duties(bench: Bench) -> None:
     assert not bench.device.sounds
 
 
-def test_there_is_no_sound_without_a_guard_on_guard() -> None:
+def test_there_is_no_sound_without_a_running_guard() -> None:
     """Wait for the guard before the first sound, and be silent while it is being replaced."""
     started = Bench()
     guard: Any = SimpleNamespace(ready=False, beat=lambda emitting: None, end=lambda silent: None)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""AUTD3 against its own emulators, which nobody here wrote: of the device over UDP, and of its
-sound.
+"""AUTD3 with its makers' emulators of the device (over UDP) and of its sound.
 
-Skipped where its packages are not: `make array-peers` puts them into an environment of their own.
+Skipped without its packages, which `make array-peers` installs in a separate environment.
 """
 
 import contextlib
@@ -26,14 +25,14 @@ from tactile_clay.tests.haptics.peers.harness import (
     pressures_at,
 )
 
-# Before any test brings them in.
+# Searched for before any test imports them.
 PACKAGES = find_packages()
 POINTS = foci((0.0, 0.0, 0.15, 1500.0), (0.03, 0.02, 0.16, 900.0), (-0.03, 0.01, 0.14, 600.0))
 
 
 @pytest.fixture
 def emulator(monkeypatch: pytest.MonkeyPatch) -> Iterator[Peer]:
-    """The device's emulator, and the packages within reach."""
+    """The emulator of the device, with the packages importable."""
     if PACKAGES is None:
         pytest.skip("AUTD3's packages are not installed: run `make array-peers`")
     monkeypatch.setattr(sys, "path", [*sys.path, PACKAGES])
@@ -43,7 +42,7 @@ def emulator(monkeypatch: pytest.MonkeyPatch) -> Iterator[Peer]:
 
 @pytest.fixture
 def device(emulator: Peer) -> Iterator[Any]:
-    """A device that is connected to the emulator."""
+    """A device connected to the emulator."""
     connected = make_device(f"autd3:{emulator.first['port']}")
     connected.open(time.monotonic())
     yield connected
@@ -51,7 +50,7 @@ def device(emulator: Peer) -> Iterator[Any]:
 
 
 def emission(device: Any, *, modulated: bool) -> Emission:
-    """What shall be emitted."""
+    """An emission at `POINTS`."""
     drive = solve_drive(device.array, POINTS.positions, POINTS.pressures)
     return Emission(
         POINTS.positions.astype(np.float32),
@@ -62,7 +61,7 @@ def emission(device: Any, *, modulated: bool) -> Emission:
 
 
 def sound_of(*commands: Any) -> np.ndarray:
-    """Root mean square pressure at `POINTS` [Pa] by autd3-emulator, shape [K]."""
+    """Root mean square pressure at `POINTS` according to autd3-emulator [Pa], shape [K]."""
     from autd3 import commands as all_commands
     from autd3_core import Autd3, Duration, Geometry
     from autd3_emulator import Emulator, Grid, RmsRecordOption
@@ -86,8 +85,8 @@ def sound_of(*commands: Any) -> np.ndarray:
     return np.array(found)
 
 
-def test_its_own_sound_field_has_the_proportions_asked_for(device: Any) -> None:
-    """Reach pressures at three foci, by autd3-emulator, in the proportion asked for within 3 %."""
+def test_its_own_sound_field_has_the_requested_proportions(device: Any) -> None:
+    """Reach the requested ratios of pressures at three foci within 3 % in autd3-emulator."""
     wanted = emission(device, modulated=False)
     device.emit(wanted, time.monotonic())
     heard = sound_of(device._pattern)
@@ -95,13 +94,13 @@ def test_its_own_sound_field_has_the_proportions_asked_for(device: Any) -> None:
     assert ratio / ratio.mean() == pytest.approx(1.0, abs=0.03)
     own = pressures_at(device.array, device.held, POINTS.positions)
     assert own / POINTS.pressures == pytest.approx(1.0, abs=0.03)
-    # Two models of one transducer, of which ours is a piston: alike but for a common factor.
+    # The emulator's transducer is no piston, so the pressures differ by a common factor.
     factor = heard * np.sqrt(2.0) / own
     assert factor / factor.mean() == pytest.approx(1.0, abs=0.05)
 
 
 def test_silence_is_silent_by_its_own_emulator(device: Any) -> None:
-    """Emit nothing after `off`, and on connecting."""
+    """Emit nothing after `off` and after connecting."""
     assert sound_of(device._pattern) == pytest.approx(0.0, abs=1e-3)
     device.emit(emission(device, modulated=True), time.monotonic())
     device.off(time.monotonic())
@@ -109,7 +108,7 @@ def test_silence_is_silent_by_its_own_emulator(device: Any) -> None:
 
 
 def test_the_device_modulates_at_200_hz(device: Any) -> None:
-    """Set a whole period of 20 samples at 4 kHz, from silence to full and back."""
+    """Send one period of 20 samples at 4 kHz, from silence to full and back."""
     from autd3_core import Autd3, Duration, Geometry
     from autd3_emulator import Emulator
 
@@ -127,8 +126,8 @@ def test_the_device_modulates_at_200_hz(device: Any) -> None:
     assert loudest.min() < 0.1 * loudest.max()
 
 
-def test_the_watchdog_acts_when_the_loop_hangs_and_is_called_off_after(device: Any) -> None:
-    """Let the device silence itself while nothing is sent, and go on when something is."""
+def test_the_watchdog_is_triggered_when_the_loop_hangs_and_released_after(device: Any) -> None:
+    """Let the device silence itself while nothing is sent, and resume afterward."""
     device.emit(emission(device, modulated=True), time.monotonic())
     end = time.monotonic() + PATIENCE
     states: list[Any] = []
@@ -143,7 +142,7 @@ def test_the_watchdog_acts_when_the_loop_hangs_and_is_called_off_after(device: A
 
 
 def test_a_server_drives_it_and_survives_its_reboot(emulator: Peer) -> None:
-    """Send frames over UDP, say when the device is gone, and connect to it again."""
+    """Send frames over UDP, report when the device is gone, and reconnect to it."""
     with ArrayClient.start(f"autd3:{emulator.first['port']}") as out:
         keep_sending(out, POINTS, lambda: out.status().frames_per_second > 20, "frames")
         keep_sending(out, POINTS, lambda: out.status().foci == 3, "focal points")
@@ -160,7 +159,7 @@ def test_a_server_drives_it_and_survives_its_reboot(emulator: Peer) -> None:
 
 
 def test_missing_packages_are_named() -> None:
-    """Say which packages a device needs that are not there."""
+    """Say which packages of a device are missing."""
     if PACKAGES == "":
         pytest.skip("AUTD3's packages are in this environment")
     hidden = {name: sys.modules.pop(name) for name in list(sys.modules) if name.startswith("autd3")}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How devices are named and found, and the simulated one."""
+"""Names of devices, the choice of a serial port, and the simulated device."""
 
 from types import SimpleNamespace
 
@@ -16,23 +16,23 @@ words = st.text("abcXYZ0189_/.-", min_size=1, max_size=12)
 
 
 @given(words, st.one_of(st.just(""), words), st.dictionaries(words, words, max_size=3))
-def test_names_are_read_as_they_are_written(kind: str, address: str, options: dict) -> None:
-    """Read kind, address and options back."""
+def test_names_round_trip(kind: str, address: str, options: dict) -> None:
+    """Parse kind, address and options."""
     parts = [address] if address else []
     parts += [f"{key}={value}" for key, value in options.items()]
     text = f"{kind}:{','.join(parts)}" if parts else kind
     assert DeviceName.parse(text) == DeviceName(kind, address, options)
 
 
-def test_addresses_may_hold_colons() -> None:
-    """Read a Windows port, a path and an address on the network."""
+def test_addresses_may_contain_colons() -> None:
+    """Parse a Windows port, a path and a network address."""
     assert DeviceName.parse("openmpd:C:\\boards\\board_1.pat").address == "C:\\boards\\board_1.pat"
     assert DeviceName.parse("autd3:[::1]:42860").address == "[::1]:42860"
 
 
 @given(st.text(max_size=30))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    """Read a name or refuse it, with the error that says what to do."""
+    """Parse a name, or refuse it with an error that says what to write."""
     try:
         name = DeviceName.parse(text)
     except DeviceError as error:
@@ -43,12 +43,12 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("plugged", "said"),
-    [([], "Plugged in: none"), (["/dev/ttyUSB0", "/dev/ttyUSB1"], "ultraino:/dev/ttyUSB1")],
+    [([], "Connected: none"), (["/dev/ttyUSB0", "/dev/ttyUSB1"], "ultraino:/dev/ttyUSB1")],
 )
-def test_a_port_must_be_named_where_it_is_not_clear(
+def test_a_port_must_be_given_unless_there_is_only_one(
     monkeypatch: pytest.MonkeyPatch, plugged: list[str], said: str
 ) -> None:
-    """Take the only port that is plugged in, and ask for one where there is none or several."""
+    """Use the only connected port, and ask for one if there is none or several."""
     ports = [SimpleNamespace(device=p, description="", hwid="", vid=1) for p in plugged]
     module = serial_port.load_pyserial()
     monkeypatch.setattr(module.tools.list_ports, "comports", lambda: ports)
@@ -60,8 +60,8 @@ def test_a_port_must_be_named_where_it_is_not_clear(
 
 
 @pytest.mark.parametrize("preset", TransducerArray.preset_names())
-def test_a_simulated_array_is_heard_and_is_as_slow_as_the_real_one(preset: str) -> None:
-    """Keep the drive, give its field, be busy for a frame, and be silent when it is told."""
+def test_a_simulated_array_gives_its_field_and_is_as_slow_as_the_real_one(preset: str) -> None:
+    """Store the drive, give its field, be busy for a frame, and be silent after `off`."""
     device = make_device(f"simulated:{preset}")
     assert isinstance(device, DeviceSimulated)
     device.open(10.0)

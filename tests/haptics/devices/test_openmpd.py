@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""OpenMPD's board behind a backend of pyusb: what it holds in the end is the sound asked for."""
+"""OpenMPD: a simulated board behind a pyusb backend ends up with the requested sound."""
 
 import json
 import signal
@@ -31,7 +31,7 @@ from tactile_clay.tests.haptics.peers.harness import (
 
 
 def board_text(seed: int = 1) -> str:
-    """A board's file with scrambled pins and phases that are each off by something."""
+    """A board file with shuffled pins and a phase correction for each transducer."""
     random = np.random.default_rng(seed)
     places = TransducerArray.preset("openmpd").positions
     rows = ["".join(f"({x:.6f}, {y:.6f}, {z:.6f})," for x, y, z in places)]
@@ -43,7 +43,7 @@ def board_text(seed: int = 1) -> str:
 
 @pytest.fixture
 def board_file(tmp_path: Path) -> Path:
-    """A board's file."""
+    """A board file on disk."""
     path = tmp_path / "board_7.pat"
     path.write_text(board_text(), encoding="utf-8")
     return path
@@ -51,7 +51,7 @@ def board_file(tmp_path: Path) -> Path:
 
 @contextmanager
 def serving(board: Peer, path: Path) -> Iterator[ArrayClient]:
-    """An array server whose USB ends at a board in another process, and a client of it."""
+    """The client of an array server whose USB is connected to a board in another process."""
     module = "tactile_clay.tests.haptics.peers.openmpd_server"
     words = [str(board.first["port"]), f"openmpd:{path}", "--for-client"]
     process = subprocess.Popen(
@@ -66,8 +66,8 @@ def serving(board: Peer, path: Path) -> Iterator[ArrayClient]:
         yield client
 
 
-def test_the_board_holds_the_pressures_that_were_asked_for(board_file: Path) -> None:
-    """Reach |p| / target of 1 within 5 % through pins, corrections and pulse widths, at 200 Hz."""
+def test_the_board_produces_the_requested_pressures(board_file: Path) -> None:
+    """Reach the targets within 5 % through pins, corrections and pulse widths, at 200 Hz."""
     lines = board_text().splitlines()
     pins = np.array([int(part) for part in lines[4].split(",") if part])
     adjust = np.radians([float(part) for part in lines[5].split(",") if part])
@@ -78,13 +78,13 @@ def test_the_board_holds_the_pressures_that_were_asked_for(board_file: Path) -> 
         state = board.ask("state")
     widths = np.array(state["loudest"]["widths"])[pins]
     begins = np.array(state["loudest"]["phases"])[pins]
-    # The middle of a pulse that begins at p and lasts w, over that of one of half a period.
+    # The center of a pulse that starts at p and lasts w, relative to that of half a period.
     phases = 2.0 * np.pi * (begins + widths / 2.0 - 32.0) / 128.0
     drive = np.sin(0.5 * np.pi * widths / 64.0) * np.exp(1j * (phases + adjust))
     array = TransducerArray.preset("openmpd")
     ratio = pressures_at(array, drive, TWO_FOCI.positions) / TWO_FOCI.pressures
     assert ratio == pytest.approx(1.0, abs=0.05)
-    # Reset, latency of 2 ms, and both purges, on the chip's first port.
+    # Reset, a latency of 2 ms, and both purges, on the chip's first port.
     assert [0x40, 9, 2, 1] in state["controls"]
     assert [0x40, 0, 2, 1] in state["controls"]
     ups = [when for when, sounds in state["changes"] if sounds]
@@ -95,7 +95,7 @@ def test_the_board_holds_the_pressures_that_were_asked_for(board_file: Path) -> 
     ("end", "limit"), [(signal.SIGTERM, OFF_WITHIN), (None, OFF_WITHIN), (signal.SIGKILL, 0.5)]
 )
 def test_sound_ends(board_file: Path, end: signal.Signals | None, limit: float) -> None:
-    """Be silent within 250 ms of the last data or a signal, and soon after the server's death."""
+    """Be silent within 250 ms of the last data or a signal, and soon after the server is killed."""
     with peer("openmpd_board") as board:
 
         def attempt() -> float:
@@ -112,12 +112,12 @@ def test_sound_ends(board_file: Path, end: signal.Signals | None, limit: float) 
 
 
 def test_unplugging_and_stalling_are_survived(board_file: Path) -> None:
-    """Say what is wrong with the chip, live on, and begin again with silence."""
+    """Report what is wrong with the chip, keep running, and start again with silence."""
     with peer("openmpd_board") as board, serving(board, board_file) as out:
         keep_sending(out, TWO_FOCI, lambda: board.ask("state")["messages"] > 60, "sound")
         board.ask("stall")
         keep_sending(out, TWO_FOCI, lambda: out.status().losses > 0, "a timeout")
-        assert "takes no data" in out.status().fault
+        assert "accepts no data" in out.status().fault
         board.ask("resume")
         keep_sending(out, TWO_FOCI, lambda: out.status().connected, "a new beginning")
         board.ask("unplug")
@@ -133,7 +133,7 @@ def test_unplugging_and_stalling_are_survived(board_file: Path) -> None:
 
 
 def change(text: str, line: int, new: str) -> str:
-    """A text with another line."""
+    """The text with one line replaced."""
     lines = text.splitlines()
     lines[line] = new
     return "\n".join(lines)
@@ -146,29 +146,29 @@ def change(text: str, line: int, new: str) -> str:
         (change(board_text(), 1, "64"), "64 transducers, not 256"),
         (change(board_text(), 2, "32"), "32 phases, not 128"),
         (change(board_text(), 3, "(1,2,3),"), "1 positions"),
-        (change(board_text(), 4, "0," * 256), "pins are not the numbers"),
-        (change(board_text(), 5, "x," * 256), "no number"),
-        (change(board_text(), 6, "1.5," * 256), "other than 0 to 1"),
+        (change(board_text(), 4, "0," * 256), "pins must be the numbers"),
+        (change(board_text(), 5, "x," * 256), "is not a number"),
+        (change(board_text(), 6, "1.5," * 256), "must be from 0 to 1"),
     ],
 )
 def test_a_damaged_board_file_is_named(tmp_path: Path, text: str, said: str) -> None:
-    """Say what is wrong with a board's file before anything is opened."""
+    """Say what is wrong with a board file before anything is opened."""
     path = tmp_path / "board.pat"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(DeviceError, match=said):
         make_device(f"openmpd:{path}")
 
 
-def test_a_missing_board_file_is_asked_for() -> None:
-    """Ask for the board's file where none is given, and name one that is not there."""
+def test_a_missing_board_file_is_named() -> None:
+    """Ask for the board file if none is given, and name one that does not exist."""
     with pytest.raises(DeviceError, match=r"board_N\.pat"):
         make_device("openmpd")
     with pytest.raises(DeviceError, match="cannot be read"):
         make_device("openmpd:/no/such/file.pat")
 
 
-def test_narrow_pulses_keep_their_middle(board_file: Path) -> None:
-    """Begin a pulse later by half of what it is narrower."""
+def test_narrow_pulses_keep_their_center(board_file: Path) -> None:
+    """Delay a pulse by half of the amount by which it is narrower."""
     device: Any = make_device(f"openmpd:{board_file}")
     flat = replace(device.array, phase_offsets=np.zeros(256))
     assert flat.count == 256

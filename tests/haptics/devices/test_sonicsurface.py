@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""SonicSurface: what an emulator of its protocol holds in the end is the sound asked for."""
+"""SonicSurface: an emulator of its protocol ends up with the requested sound."""
 
 import sys
 from dataclasses import replace
@@ -19,10 +19,10 @@ CASES = (("stock", 1), ("stock", 2), ("tactile", 1))
 
 
 def surface() -> TransducerArray:
-    """The array in the order of the board's bytes, by the formula of its own files.
+    """The array in the order of the board's bytes, by the formula in its own source files.
 
-    There, columns go along rising x and rows along falling z, and +y is out of the array: a turn
-    about x takes that to +z here, and falling z to rising y.
+    There, columns follow increasing x and rows decreasing z, and +y points out of the array. A
+    rotation about x takes +y to +z here, and decreasing z to increasing y.
     """
     places = np.zeros((256, 3))
     for column in range(16):
@@ -40,15 +40,15 @@ def surface() -> TransducerArray:
 
 
 def emitted(pattern: list[int]) -> NDArray[np.complex128]:
-    """The drive that a pattern is: a delay in 32nds of a period, 32 for off."""
+    """The drive of a pattern of delays in 32nds of a period, where 32 is off."""
     phases = np.array(pattern)
     return np.where(phases == 32, 0.0, np.exp(2j * np.pi * phases / 32.0))
 
 
 @needs_pty
 @pytest.mark.parametrize(("firmware", "boards"), CASES)
-def test_the_emulator_holds_the_pressures_that_were_asked_for(firmware: str, boards: int) -> None:
-    """Reach |p| / target of 1 within a tenth at two foci, through bytes at the wire's pace."""
+def test_the_emulator_produces_the_requested_pressures(firmware: str, boards: int) -> None:
+    """Reach the targets at two foci within 10 %, through bytes at the speed of the wire."""
     with peer("sonicsurface_peer", firmware, str(boards)) as board:
         name = f"sonicsurface:{board.first['port']},firmware={firmware},boards={boards}"
         with ArrayClient.start(name) as out:
@@ -72,7 +72,7 @@ def test_the_emulator_holds_the_pressures_that_were_asked_for(firmware: str, boa
 
 @needs_pty
 def test_connecting_silences_a_board_that_powers_up_with_sound() -> None:
-    """Write silence into both patterns before any focal point has come."""
+    """Write silence to both patterns before any focal point arrives."""
     with peer("sonicsurface_peer", "stock", "1") as board:
         assert board.ask("state")["sounds"]
         with ArrayClient.start(f"sonicsurface:{board.first['port']}"):
@@ -95,7 +95,7 @@ def test_stock_firmware_is_modulated_at_200_hz_by_the_serial_clock() -> None:
     [
         ("sonicsurface:/dev/null,firmware=nice", "firmware must be stock or tactile"),
         ("sonicsurface:/dev/null,speed=1", "no option 'speed'"),
-        ("sonicsurface:/dev/null,firmware=tactile,boards=2", "one board only"),
+        ("sonicsurface:/dev/null,firmware=tactile,boards=2", "only one board"),
     ],
 )
 def test_wrong_options_are_named(name: str, said: str) -> None:
@@ -104,8 +104,8 @@ def test_wrong_options_are_named(name: str, said: str) -> None:
         make_device(name)
 
 
-def test_a_port_that_is_not_there_is_named() -> None:
-    """Say which port cannot be opened, and what to look at."""
+def test_a_missing_port_is_named() -> None:
+    """Say which port cannot be opened, and what to check."""
     device = make_device("sonicsurface:/dev/no-such-port")
     with pytest.raises(DeviceError, match=r"/dev/no-such-port cannot be opened.*--list"):
         device.open(0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bridge to Ultraleap's SDK, compiled against stand-ins for its headers and run."""
+"""The bridge to Ultraleap's SDK, compiled with stubs of its headers and run."""
 
 import re
 import shutil
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tactile_clay.haptics import ArrayClient
 from tactile_clay.haptics.devices import DeviceError, make_device
 from tactile_clay.haptics.protocol.datagram import Kind, encode
-from tactile_clay.tests.haptics.peers.harness import PATIENCE, Foci, foci, keep_sending
+from tactile_clay.tests.haptics.peers.harness import PATIENCE, PlainFoci, foci, keep_sending
 
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
 SOURCES = Path(__file__).resolve().parents[3] / "haptics" / "devices" / "stratos_explore"
@@ -43,7 +43,7 @@ def compile_program(target: Path, *sources: Path) -> Path:
 
 @pytest.fixture(scope="module", params=[2, 3])
 def bridge(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bridge for one SDK, inside a script that keeps what the SDK says."""
+    """The bridge for one SDK, in a script that records the calls of the SDK."""
     version: int = request.param
     folder = tmp_path_factory.mktemp(f"sdk{version}")
     program = compile_program(
@@ -58,20 +58,20 @@ def bridge(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
 
 
 def said(bridge: Path) -> list[str]:
-    """What the SDK has been told so far."""
+    """The calls of the SDK so far."""
     path = bridge.parent / "said.txt"
     return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
 
 
 def is_silence(line: str) -> bool:
-    """Whether the SDK was told to be silent; a callback may end just after a pause."""
+    """Whether a call means silence; a callback may end just after a pause."""
     words = line.split()
     quiet = words[0] == "sample" and all(point.endswith(",0.0000") for point in words[1:])
     return quiet or line in ("stop", "pause")
 
 
 def wait_for_silence(bridge: Path) -> None:
-    """Wait until the last thing that the SDK was told is silence, and stays so."""
+    """Wait until the last call means silence and no more calls follow."""
     end = time.monotonic() + PATIENCE
     quiet = 0
     while quiet < 5:
@@ -84,7 +84,7 @@ def wait_for_silence(bridge: Path) -> None:
 
 @needs_compiler
 def test_points_reach_the_sdk_and_stop_with_the_data(bridge: Path) -> None:
-    """Hand on positions and intensities, with 200 Hz, and stop when focal points end."""
+    """Pass on positions and intensities at 200 Hz, and stop when focal points end."""
     (bridge.parent / "said.txt").unlink(missing_ok=True)
     with ArrayClient.start(f"stratos_explore:{bridge}") as out:
         keep_sending(out, FOUR, lambda: len(said(bridge)) > 60, "emission", pace=0.005)
@@ -151,7 +151,7 @@ int main() {
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A program that reads datagrams as the bridge does."""
+    """A program that decodes datagrams like the bridge."""
     if COMPILER is None:
         pytest.skip("there is no C++ compiler")
     folder = tmp_path_factory.mktemp("reader")
@@ -160,14 +160,14 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_by(reader: Path, datagrams: list[bytes]) -> list[str]:
-    """What the program makes of datagrams."""
+    """The program's output for datagrams."""
     text = "\n".join(f"{len(data)} {' '.join(map(str, data))}" for data in datagrams)
     return subprocess.run(
         [reader], input=text, capture_output=True, text=True, check=True
     ).stdout.splitlines()
 
 
-def datagram(points: Foci) -> bytes:
+def datagram(points: PlainFoci) -> bytes:
     """A datagram with these points."""
     return encode(
         Kind.FOCI,
@@ -182,7 +182,7 @@ def datagram(points: Foci) -> bytes:
 @given(st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 7)), min_size=1, max_size=20))
 @settings(max_examples=10, deadline=None)
 def test_the_bridge_refuses_what_is_not_whole(reader: Path, flips: list[tuple[int, int]]) -> None:
-    """Refuse any datagram with a bit turned, and none that is whole."""
+    """Refuse any datagram with a flipped bit, and accept a valid one."""
     whole = datagram(foci((0.01, 0.02, 0.2, 0.5)))
     broken = []
     for place, bit in flips:
@@ -195,7 +195,7 @@ def test_the_bridge_refuses_what_is_not_whole(reader: Path, flips: list[tuple[in
 
 
 def test_the_bridge_refuses_numbers_that_cannot_be_emitted(reader: Path) -> None:
-    """Refuse intensities outside 0 to 1, what is not finite, and more points than there may be."""
+    """Refuse intensities outside 0 to 1, values that are not finite, and too many points."""
     bad = [
         foci((0.0, 0.0, 0.2, 1.01)),
         foci((0.0, 0.0, 0.2, -0.1)),
@@ -206,8 +206,8 @@ def test_the_bridge_refuses_numbers_that_cannot_be_emitted(reader: Path) -> None
     assert read_by(reader, [datagram(points) for points in bad]) == ["refused"] * len(bad)
 
 
-def test_what_is_missing_is_named() -> None:
-    """Say where the bridge comes from when it is not given or not there."""
+def test_a_missing_bridge_is_explained() -> None:
+    """Say how to build the bridge if it is not given or does not exist."""
     with pytest.raises(DeviceError, match=r"CMakeLists\.txt"):
         make_device("stratos_explore")
     device = make_device("stratos_explore:/no/such/bridge")
@@ -216,7 +216,7 @@ def test_what_is_missing_is_named() -> None:
 
 
 def test_a_bridge_that_fails_is_quoted(tmp_path: Path) -> None:
-    """Repeat what the bridge says when there is no array."""
+    """Quote the bridge's message if there is no array."""
     script = tmp_path / "bridge"
     script.write_text("#!/bin/sh\necho failed no array is connected\n", encoding="utf-8")
     script.chmod(0o755)

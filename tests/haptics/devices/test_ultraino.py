@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Ultraino's three boards: what their emulators hold in the end is the sound asked for."""
+"""Ultraino: emulators of its three boards end up with the requested sound."""
 
 import sys
 from dataclasses import replace
@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from tactile_clay.haptics import ArrayClient, TransducerArray
 from tactile_clay.haptics.devices import DeviceError, make_device
-from tactile_clay.tests.haptics.peers.harness import Foci, foci, keep_sending, peer, pressures_at
+from tactile_clay.tests.haptics.peers.harness import (
+    PlainFoci,
+    foci,
+    keep_sending,
+    peer,
+    pressures_at,
+)
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 
@@ -33,14 +39,14 @@ pitch = 0.0105
 
 
 def fpga_drive(state: dict[str, Any], divisions: int) -> NDArray[np.complex128]:
-    """The drive of an FPGA's current pattern: a delay each, and the width of its pulse."""
+    """The drive of an FPGA's current pattern of delays and pulse widths."""
     phases = np.array(state["phases"])
     on = phases < divisions
     loudness = np.sin(np.pi * np.array(state["widths"]) / divisions)
     return np.where(on, loudness * np.exp(2j * np.pi * phases / divisions), 0.0)
 
 
-# Pins of the Mega that the shield's outputs are on, by port (A C L B K F H D G J) and bit.
+# Pins of the Mega for the outputs of the shield, by port (A C L B K F H D G J) and bit.
 PINS = [
     *(
         51,
@@ -74,17 +80,17 @@ PINS = [
 
 
 def mega_drive(wave: str) -> NDArray[np.complex128]:
-    """The fundamental of each output's square wave, over that of one that is high half the time."""
+    """Fundamental of each output's square wave, relative to that with a duty cycle of one half."""
     table = np.frombuffer(bytes.fromhex(wave), np.uint8).reshape(10, 10)
     bits = np.unpackbits(table[:, :, None], axis=2, bitorder="little").reshape(10, 80)
-    # A wave that is late by d divisions has the phase 2π d / 10, and a pulse's middle counts.
+    # A delay of d divisions is the phase 2π d / 10, measured at the center of the pulse.
     turns = np.exp(2j * np.pi * np.arange(10) / 10)
     reference = turns[:5].sum()
     return (turns @ bits / reference)[PINS]
 
 
-def check(array: TransducerArray, drive: NDArray[np.complex128], points: Foci) -> None:
-    """Hold |p| / target to what so few phases allow."""
+def check(array: TransducerArray, drive: NDArray[np.complex128], points: PlainFoci) -> None:
+    """Check the pressures with the tolerance that so few phases allow."""
     ratio = pressures_at(array, drive, points.positions) / points.pressures
     assert ratio == pytest.approx(1.0, abs=0.15)
 
@@ -94,10 +100,10 @@ def check(array: TransducerArray, drive: NDArray[np.complex128], points: Foci) -
     ("board", "divisions", "preset", "points"),
     [("fpga", 32, "sonicsurface", FAR), ("fpga128", 128, "ultraino", NEAR)],
 )
-def test_an_fpga_holds_the_pressures_that_were_asked_for(
-    board: str, divisions: int, preset: str, points: Foci
+def test_an_fpga_produces_the_requested_pressures(
+    board: str, divisions: int, preset: str, points: PlainFoci
 ) -> None:
-    """Reach |p| / target of 1 at two foci, whatever pulse widths were set before, then silence."""
+    """Reach the targets at two foci after any earlier pulse widths, then be silent."""
     with peer("ultraino_peer", board, "1") as emulator:
         states: list[dict[str, Any]] = []
         with ArrayClient.start(f"ultraino:{emulator.first['port']},board={board}") as out:
@@ -116,7 +122,7 @@ def test_an_fpga_holds_the_pressures_that_were_asked_for(
 @needs_pty
 @pytest.mark.parametrize("boards", [1, 2])
 def test_a_mega_modulates_at_200_hz_by_itself(boards: int, tmp_path: Path) -> None:
-    """Hold 2.5 ms each of a waveform with the pressures asked for and of silence, then silence."""
+    """Alternate 2.5 ms each of the requested pressures and of silence, then be silent."""
     path = tmp_path / "wide.toml"
     path.write_text(TWO_MEGAS, encoding="utf-8")
     array = TransducerArray.preset("ultraino") if boards == 1 else TransducerArray.from_toml(path)
@@ -148,10 +154,10 @@ def test_a_mega_modulates_at_200_hz_by_itself(boards: int, tmp_path: Path) -> No
     ("name", "said"),
     [
         ("ultraino:x,board=nano", "board must be mega or fpga or fpga128"),
-        ("ultraino:x,board=fpga,boards=2", "leave boards out"),
+        ("ultraino:x,board=fpga,boards=2", "Leave out boards"),
         ("ultraino:x,boards=15", "1 to 14 boards"),
         ("ultraino:x,boards=nan", "boards must be a number"),
-        ("ultraino:x,array=sonicsurface", "64 outputs, too few for sonicsurface's 256"),
+        ("ultraino:x,array=sonicsurface", "64 outputs, too few for the 256"),
         ("ultraino:x,array=/no/such.toml", "/no/such.toml cannot be used"),
     ],
 )

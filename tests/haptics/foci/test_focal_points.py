@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Focal points: where they should be, as strong as they should be, and without flicker."""
+"""Focal points: correct positions and pressures, without flicker."""
 
 import numpy as np
 import pytest
@@ -19,18 +19,18 @@ def skin(size: float = 0.08) -> np.ndarray:
 
 
 def blob(points, x, y, radius, peak=500.0):
-    """A round pressure about a place [Pa]."""
+    """A round load around a point [Pa]."""
     square = (points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2
     return np.where(square < radius**2, peak * (1.0 - square / radius**2), 0.0)
 
 
 def ones(points):
-    """Even weights."""
+    """Uniform weights."""
     return np.ones(len(points))
 
 
 def test_two_blobs_get_a_focus_each_at_their_weighted_centers():
-    """Put foci where blobs' α p* balances, and give each blob's points to its own."""
+    """Put foci at the centers of mass of α p*, and assign each blob's points to its own focus."""
     points = skin()
     pressures = blob(points, -0.021, 0.003, 0.007) + blob(points, 0.018, -0.01, 0.006, 300.0)
     weights = 1.0 + 20.0 * (points[:, 0] + 0.04)
@@ -41,22 +41,22 @@ def test_two_blobs_get_a_focus_each_at_their_weighted_centers():
         mass = (weights * pressures)[side]
         center = mass @ points[side] / mass.sum()
         assert np.linalg.norm(foci.positions - center, axis=1).min() < 0.15e-3
-    which = foci.assignment[np.argmin(np.abs(points[:, 0] + 0.021) + np.abs(points[:, 1] - 0.003))]
-    assert foci.positions[which, 0] < 0
+    nearest = np.argmin(np.abs(points[:, 0] + 0.021) + np.abs(points[:, 1] - 0.003))
+    assert foci.positions[foci.assignment[nearest], 0] < 0
 
 
 def test_pressures_are_the_minimizer_of_equation_nine():
-    """Leave no slope of the squared error in any focus's pressure."""
+    """Make the derivative of the squared error by the pressure of each focus zero."""
     points = skin()
     pressures = blob(points, 0, 0, 0.03) + blob(points, 0.01, 0.02, 0.01)
     foci = focus(points, pressures, ones(points), sigma=SIGMA, count=6)
     square = np.square(points - foci.positions[foci.assignment]).sum(1)
-    fall = np.exp(-0.5 * square / SIGMA**2)
-    miss = reconstruct(foci, points) - pressures
+    gaussian = np.exp(-0.5 * square / SIGMA**2)
+    error = reconstruct(foci, points) - pressures
     for index in range(foci.count):
         own = foci.assignment == index
-        slope = (fall * miss)[own].sum()
-        assert abs(slope) < 1e-4 * (fall * pressures)[own].sum()
+        derivative = (gaussian * error)[own].sum()
+        assert abs(derivative) < 1e-4 * (gaussian * pressures)[own].sum()
 
 
 def test_printed_form_gives_less_and_fits_worse():
@@ -74,7 +74,7 @@ def test_printed_form_gives_less_and_fits_worse():
 
 
 def test_reconstruction_is_a_gaussian_in_its_own_region():
-    """Fall off by e^{-1/2} at one sigma, and switch foci halfway between them."""
+    """Fall to e^{-1/2} at one sigma, and switch foci halfway between them."""
     points = skin()
     foci = focus(
         points,
@@ -91,7 +91,7 @@ def test_reconstruction_is_a_gaussian_in_its_own_region():
 
 
 def test_as_many_foci_as_the_touched_skin_needs():
-    """Use one focus for a fingertip, all for a palm, and never more than the array can do."""
+    """Use one focus for a fingertip, all for a palm, and never more than allowed."""
     points = skin()
     counts = [
         focus(points, blob(points, 0, 0, radius), ones(points), sigma=SIGMA, count=8).count
@@ -108,32 +108,32 @@ def test_as_many_foci_as_the_touched_skin_needs():
     assert (reconstruct(gone, points) == 0.0).all()
 
 
-def test_foci_are_farther_apart_than_the_array_can_tell():
-    """Keep foci one sigma apart at least."""
+def test_foci_are_far_enough_apart_for_the_array_to_resolve():
+    """Keep foci about one sigma apart or more."""
     points = skin()
     random = np.random.default_rng(0)
     for _ in range(10):
         x, y, radius = random.uniform((-0.02, -0.02, 0.005), (0.02, 0.02, 0.04))
         places = focus(points, blob(points, x, y, radius), ones(points), sigma=SIGMA).positions
-        apart = np.linalg.norm(places[:, None] - places[None], axis=2) + np.eye(len(places))
-        assert apart.min() > 0.9 * SIGMA
+        distance = np.linalg.norm(places[:, None] - places[None], axis=2) + np.eye(len(places))
+        assert distance.min() > 0.9 * SIGMA
 
 
-def test_weights_draw_foci_to_where_touch_is_fine():
-    """Fit the well-felt half better with weights than without."""
+def test_weights_draw_foci_to_sensitive_skin():
+    """Fit the sensitive half better with weights than without."""
     points = skin()
     pressures = blob(points, 0, 0, 0.05)
     weights = np.where(points[:, 0] > 0.01, 1.0, 0.1)
-    fine = weights == 1.0
+    sensitive = weights == 1.0
     errors = []
     for alpha in (weights, ones(points)):
         foci = focus(points, pressures, alpha, sigma=SIGMA, count=5)
-        errors.append(np.linalg.norm((reconstruct(foci, points) - pressures)[fine]))
+        errors.append(np.linalg.norm((reconstruct(foci, points) - pressures)[sensitive]))
     assert errors[0] < 0.9 * errors[1]
 
 
 def test_foci_lie_on_curved_skin():
-    """Lay foci onto a finger, not into it."""
+    """Put foci on the surface of a finger, not inside it."""
     angle, along = np.meshgrid(np.linspace(0, np.pi, 24), np.arange(0, 0.05, SPACING))
     radius = 0.008
     finger = np.stack([radius * np.cos(angle), along, radius * np.sin(angle)], -1).reshape(-1, 3)
@@ -144,8 +144,8 @@ def test_foci_lie_on_curved_skin():
 
 
 @pytest.mark.parametrize("gap", [0.008, 0.016])
-def test_a_cluster_across_two_fingers_is_laid_onto_one(gap):
-    """Leave no focus in the air between two fingers, nor on an edge, where one must serve both."""
+def test_a_cluster_across_two_fingers_is_moved_onto_one(gap):
+    """Put a focus for two fingers on one of them, not in the air between them or on an edge."""
     points = np.concatenate(
         [skin(0.012) + np.array((x, 0, 0)) for x in (-0.5 * gap - 0.006, 0.5 * gap + 0.006)]
     )
@@ -156,7 +156,7 @@ def test_a_cluster_across_two_fingers_is_laid_onto_one(gap):
 
 @pytest.mark.parametrize("radius", [0.006, 0.02, 0.035])
 def test_foci_follow_a_moving_load_without_flicker(radius):
-    """Move no focus much farther in a frame than the load, and keep who is who."""
+    """Move no focus much farther per frame than the load, and keep the order of foci."""
     points = skin(0.1)
     previous = None
     travels, changes = [], 0
@@ -178,7 +178,7 @@ def test_foci_follow_a_moving_load_without_flicker(radius):
 
 
 def test_a_still_load_has_still_foci():
-    """Come to rest within some frames under a load that does not change."""
+    """Settle within a few frames under a constant load."""
     points = skin()
     random = np.random.default_rng(5)
     pressures = blob(points, 0.005, 0.0, 0.035) * random.uniform(0.7, 1.3, len(points))
@@ -189,8 +189,8 @@ def test_a_still_load_has_still_foci():
     assert np.abs(after.positions - foci.positions).max() < 0.2e-3
 
 
-def test_a_finger_that_lifts_leaves_its_focus_to_another():
-    """Drop the focus of what is no longer touched, and find what is touched anew."""
+def test_the_focus_of_a_lifted_finger_goes_to_another():
+    """Drop the focus of skin that is no longer touched, and put one on newly touched skin."""
     points = skin()
     first = blob(points, -0.02, 0, 0.006) + blob(points, 0.02, 0, 0.006)
     then = blob(points, -0.02, 0, 0.006) + blob(points, 0.0, 0.025, 0.006)
@@ -198,12 +198,12 @@ def test_a_finger_that_lifts_leaves_its_focus_to_another():
     for _ in range(2):
         foci = focus(points, then, ones(points), sigma=SIGMA, previous=foci)
     assert foci.count == 2
-    wanted = np.array([(-0.02, 0, 0.15), (0.0, 0.025, 0.15)])
-    assert np.linalg.norm(wanted[:, None] - foci.positions[None], axis=2).min(1).max() < 0.5e-3
+    expected = np.array([(-0.02, 0, 0.15), (0.0, 0.025, 0.15)])
+    assert np.linalg.norm(expected[:, None] - foci.positions[None], axis=2).min(1).max() < 0.5e-3
 
 
 def test_ceiling_bounds_foci_and_nothing_else():
-    """Cap what is too strong, leave what is not."""
+    """Cap foci that are too strong, and leave the others unchanged."""
     points = skin()
     pressures = blob(points, -0.02, 0, 0.007, 900.0) + blob(points, 0.02, 0, 0.007, 200.0)
     free = focus(points, pressures, ones(points), sigma=SIGMA)
@@ -212,7 +212,7 @@ def test_ceiling_bounds_foci_and_nothing_else():
     assert free.pressures.max() > 250.0 > free.pressures.min()
 
 
-def test_seeding_is_the_same_each_time():
+def test_seeding_is_deterministic():
     """Give the same foci for the same field."""
     points = skin()
     pressures = blob(points, 0, 0, 0.04)
@@ -222,8 +222,8 @@ def test_seeding_is_the_same_each_time():
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 100_000), st.integers(0, 12), st.integers(1, 200))
-def test_any_field_gives_sound_foci(seed, count, size):
-    """Stay within what was asked on any scattered field, alone and warm-started."""
+def test_any_field_gives_valid_foci(seed, count, size):
+    """Obey all options on any scattered field, cold and warm-started."""
     random = np.random.default_rng(seed)
     points = random.uniform(-0.05, 0.05, (size, 3)) * random.choice([1.0, 1e-3, 0.0], 3)
     pressures = random.exponential(200.0, size) * (random.random(size) < 0.5)
@@ -253,7 +253,7 @@ def test_any_field_gives_sound_foci(seed, count, size):
     ],
 )
 def test_bad_input_is_refused(change):
-    """Say what does not fit."""
+    """Say what is wrong."""
     values = {"positions": np.zeros((3, 3)), "pressures": np.ones(3), "weights": np.ones(3)}
     options = {"sigma": SIGMA} | {k: v for k, v in change.items() if k not in values}
     arrays = [change.get(name, value) for name, value in values.items()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From frame to frame: what is pressed is felt, and what changes is followed."""
+"""From contacts to focal points, frame by frame."""
 
 import numpy as np
 import pytest
@@ -16,51 +16,51 @@ ARRAY = TransducerArray.preset("sonicsurface")
 
 
 def test_focal_points_follow_what_presses() -> None:
-    """Move focal points with three fingers that go round, by no leap."""
+    """Follow three circling fingers without jumps."""
     pipeline = TouchPipeline()
     last = None
     for number in range(20):
         frame = pipeline.step([palm_contacts(number)], ARRAY, dt=1 / 60)
-        assert 3 <= len(frame.positions) <= 8
+        assert 3 <= frame.foci.count <= 8
         assert frame.skin is not None
         assert frame.reconstructed is not None
         assert frame.wanted is not None
         assert len(frame.skin) == len(frame.reconstructed) == len(frame.wanted)
-        if last is not None and len(last.positions) == len(frame.positions):
-            moved = np.linalg.norm(frame.positions - last.positions, axis=1)
+        if last is not None and last.foci.count == frame.foci.count:
+            moved = np.linalg.norm(frame.foci.positions - last.foci.positions, axis=1)
             assert moved.max() < ARRAY.wavelength
         last = frame
 
 
-def test_nothing_pressed_is_silence_and_no_hand_is_none() -> None:
-    """Give no focal points where nothing presses, and where there is no hand."""
+def test_no_contact_and_no_hand_give_no_focal_points() -> None:
+    """Give no focal points if no ghost carries a force, or if there is no hand."""
     still = palm_contacts(0)
     still = Contacts(still.positions, still.normals, still.areas, np.zeros_like(still.forces))
-    assert len(TouchPipeline().step([still], ARRAY).positions) == 0
-    assert len(TouchPipeline().step([], ARRAY).positions) == 0
+    assert TouchPipeline().step([still], ARRAY).foci.count == 0
+    assert TouchPipeline().step([], ARRAY).foci.count == 0
 
 
-def test_a_hand_that_is_bound_anew_starts_anew() -> None:
-    """Go on without an error when a hand has other ghosts than in the last frame."""
+def test_a_hand_that_is_bound_again_starts_anew() -> None:
+    """Continue without an error when a hand has different ghosts than in the last frame."""
     pipeline = TouchPipeline()
     pipeline.step([palm_contacts(0)], ARRAY, dt=1 / 60)
     whole = palm_contacts(1)
     half = Contacts(*(getattr(whole, name)[::2] for name in Contacts.__dataclass_fields__))
-    assert len(pipeline.step([half], ARRAY, dt=1 / 60).positions) > 0
+    assert pipeline.step([half], ARRAY, dt=1 / 60).foci.count > 0
     both = pipeline.step([half, whole], ARRAY, dt=1 / 60)
     assert both.skin is not None
     assert len(both.skin) > len(half.areas)
 
 
 def test_weights_draw_focal_points() -> None:
-    """Leave skin alone that feels nothing."""
+    """Ignore skin with a weight of 0."""
     contacts = palm_contacts(0)
     left = contacts.positions[:, 0] < 0.0
     frame = TouchPipeline().step([contacts], ARRAY, weights=[left.astype(float)], count=3)
-    assert (frame.positions[:, 0] < 0.01).all()
+    assert (frame.foci.positions[:, 0] < 0.01).all()
 
 
-def test_what_is_out_of_range_is_refused() -> None:
-    """Refuse a gain of nothing, by name."""
+def test_options_out_of_range_are_refused() -> None:
+    """Refuse a gain of 0, by name."""
     with pytest.raises(ValueError, match="gain"):
         TouchPipeline().step([palm_contacts(0)], ARRAY, gain=0.0)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""AUTD3's own packages, in an environment of their own under build/peers.
+"""AUTD3's own packages, in a separate environment under build/peers.
 
-Run as a module it makes the environment, from the package index.
+Run as a module, it creates the environment from the package index.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ AUTD3 = Peer(
 
 
 def find_packages() -> str | None:
-    """Where the packages are, for ``sys.path``: empty if they are on it, None if nowhere."""
+    """Folder of the packages for ``sys.path``; empty if already on it, None if not installed."""
     if importlib.util.find_spec("autd3") is not None:
         return ""
     home = FOLDER / AUTD3.environment

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run in autd3's environment: its GS-PAT for sets of foci, and its emulator's field of drives.
+"""Runs in autd3's environment: its GS-PAT for sets of foci, and its emulator's field of drives.
 
-``python autd3_field.py SCENE.npz RESULT.npz``. Lengths there are millimeters, here meters.
+``python autd3_field.py SCENE.npz RESULT.npz``. autd3 uses millimeters; the files use meters.
 """
 
 import sys
@@ -25,7 +25,7 @@ scene = np.load(sys.argv[1])
 speed = Velocity.from_m_s(float(scene["speed_of_sound"]))
 geometry = Geometry([Autd3()])
 positions = np.asarray(geometry.device(0).positions(), float)
-# Foci come in the frame of the grid's middle.
+# The foci are relative to the center of the grid.
 middle = 0.5 * (positions.min(0) + positions.max(0))
 
 phases, intensities = geometry.phase_buffer(), geometry.intensity_buffer()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""AUTD3's own emulator of a device, in a process of its own: ``state`` and ``reboot``."""
+"""AUTD3's own emulator of a device, in a separate process: ``state`` and ``reboot``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if __name__ == "__main__":
     from autd3 import UdpEmulator
 
     emulator = UdpEmulator(1)
-    # It tells its address only inside the text of an option.
+    # Its address is only available in the text of an option.
     found = re.search(r'"(.+)"', str(emulator.option().iface))
     assert found
     print(json.dumps({"port": found[1]}), flush=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes the environments of acoustic packages to compare with, under build/peers."""
+"""Creates environments of acoustic packages for comparison, under build/peers."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ PEERS = {
 
 
 def ready(peer: Peer, repository: Path) -> Path | None:
-    """The Python of a peer's environment, None where it is not made."""
+    """The Python of a peer's environment; None if it does not exist."""
     home = repository / "build" / "peers" / peer.environment
     return home / "bin" / "python" if (home / "installed.stamp").exists() else None
 
 
 def main() -> int:
-    """Make all environments; tell of those that cannot be made."""
+    """Create all environments, and report those that cannot be created."""
     failed = 0
     for peer in PEERS.values():
         try:

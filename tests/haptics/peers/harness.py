@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting peers and array servers in processes of their own, and looking at both."""
+"""Starts simulated devices in separate processes, and checks what they emit."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from tactile_clay.haptics import ArrayClient, TransducerArray, acoustic_field
 
 PATIENCE = 20.0
-"""Nothing that is waited for takes this long [s], however slow the machine."""
+"""Maximum time to wait for anything, also on a slow machine [s]."""
 OFF_WITHIN = 0.250
-"""Sound must be off this soon after its reason has gone [s]."""
+"""Maximum time for which there may be sound after its cause has ended [s]."""
 
 
 @dataclass(frozen=True)
-class Foci:
-    """Focal points as a test wants them."""
+class PlainFoci:
+    """Focal points to send in a test."""
 
     positions: NDArray[np.float64]
     """Positions [m], shape [K, 3]."""
@@ -34,48 +34,48 @@ class Foci:
     """Pressures [Pa], shape [K]."""
 
 
-def foci(*rows: tuple[float, float, float, float]) -> Foci:
+def foci(*rows: tuple[float, float, float, float]) -> PlainFoci:
     """Focal points from rows of x, y, z [m] and pressure [Pa]."""
     table = np.array(rows, np.float64).reshape(-1, 4)
-    return Foci(table[:, :3], table[:, 3])
+    return PlainFoci(table[:, :3], table[:, 3])
 
 
 TWO_FOCI = foci((0.0, 0.0, 0.15, 900.0), (0.03, 0.02, 0.14, 500.0))
 
 
 class Peer:
-    """A peer in a process of its own.
+    """A simulated device in a separate process.
 
     Args:
-        module: Its module beside this one.
-        words: Its command line.
+        module: Name of its module in this folder.
+        arguments: Its command-line arguments.
     """
 
-    def __init__(self, module: str, *words: str, python: str = sys.executable) -> None:
+    def __init__(self, module: str, *arguments: str, python: str = sys.executable) -> None:
         self.process = subprocess.Popen(
-            [python, "-m", f"tactile_clay.tests.haptics.peers.{module}", *words],
+            [python, "-m", f"tactile_clay.tests.haptics.peers.{module}", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
         )
         self.first: dict[str, Any] = self._line()
 
-    def ask(self, word: str) -> dict[str, Any]:
-        """Say a word, and hear what the peer holds."""
+    def ask(self, command: str) -> dict[str, Any]:
+        """Send a command, and return the peer's state."""
         assert self.process.stdin
-        self.process.stdin.write(word + "\n")
+        self.process.stdin.write(command + "\n")
         self.process.stdin.flush()
         return self._line()
 
     def wait(self, until: Callable[[dict[str, Any]], bool], what: str) -> dict[str, Any]:
-        """Ask again and again until something holds."""
+        """Ask repeatedly until a condition is true, and return the state."""
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             state = self.ask("state")
             if until(state):
                 return state
             time.sleep(0.005)
-        raise AssertionError(f"{what} did not happen; the peer holds {state}")
+        raise AssertionError(f"{what} did not happen; the peer's state is {state}")
 
     def _line(self) -> dict[str, Any]:
         assert self.process.stdout
@@ -85,7 +85,7 @@ class Peer:
         return answer
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         assert self.process.stdin
         self.process.stdin.close()
         try:
@@ -99,7 +99,7 @@ class Peer:
 
 @contextmanager
 def peer(module: str, *words: str) -> Iterator[Peer]:
-    """A peer for as long as the block lasts."""
+    """A peer that ends with the block."""
     started = Peer(module, *words)
     try:
         yield started
@@ -108,22 +108,27 @@ def peer(module: str, *words: str) -> Iterator[Peer]:
 
 
 def keep_sending(
-    out: ArrayClient, points: Foci, until: Callable[[], bool], what: str, *, pace: float = 1 / 60
+    out: ArrayClient,
+    points: PlainFoci,
+    until: Callable[[], bool],
+    what: str,
+    *,
+    pace: float = 1 / 60,
 ) -> None:
-    """Send the same focal points at a live scene's pace until something holds."""
+    """Send the same focal points at the rate of a live scene until a condition is true."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         out.send(points)
         if until():
             return
         time.sleep(pace)
-    raise AssertionError(f"{what} did not happen; the server says {out.status()}")
+    raise AssertionError(f"{what} did not happen; the server's status is {out.status()}")
 
 
 def lateness(board: Peer, since: float) -> float:
-    """Wait for lasting silence, and tell how long after `since` it came [s].
+    """Wait for lasting silence, and return how long after `since` it began [s].
 
-    What the machine kept the board itself waiting is not counted.
+    Time for which the machine delayed the board's own process is not counted.
     """
     before = board.ask("state")["held_up"]
     state = board.wait(
@@ -133,12 +138,12 @@ def lateness(board: Peer, since: float) -> float:
     return late
 
 
-class Crowding:
-    """How long the machine keeps a process waiting that wants to run, because of other things."""
+class SchedulingDelay:
+    """Measures how long the machine delays a process that is ready to run."""
 
     def __init__(self) -> None:
         self.longest = 0.0
-        """The longest that a sleep of 5 ms took longer [s]."""
+        """The longest delay of a 5 ms sleep [s]."""
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._sleep, daemon=True)
 
@@ -148,7 +153,7 @@ class Crowding:
             time.sleep(0.005)
             self.longest = max(self.longest, time.monotonic() - begin - 0.005)
 
-    def __enter__(self) -> Crowding:
+    def __enter__(self) -> SchedulingDelay:
         self._thread.start()
         return self
 
@@ -158,22 +163,22 @@ class Crowding:
 
 
 def check_lateness(attempt: Callable[[], float], limit: float = OFF_WITHIN) -> None:
-    """Hold the best of three attempts to a limit.
+    """Check that the best of three attempts is within a limit.
 
-    Client, server and board each may have been kept waiting as long as anybody on this machine.
+    Allows for the scheduling delay of three processes: client, server and board.
     """
     tries: list[tuple[float, float]] = []
     while len(tries) < 3:
-        with Crowding() as crowding:
+        with SchedulingDelay() as delay:
             late = attempt()
-        tries.append((late, crowding.longest))
-        if late <= limit + 3.0 * crowding.longest:
+        tries.append((late, delay.longest))
+        if late <= limit + 3.0 * delay.longest:
             return
-    raise AssertionError(f"(silent after, kept waiting) {tries} s, not within {limit}")
+    raise AssertionError(f"(silent after, scheduling delay) {tries} s, not within {limit}")
 
 
 def pressures_at(
     array: TransducerArray, drive: NDArray[np.complexfloating], points: ArrayLike
 ) -> NDArray[np.float64]:
-    """Pressure amplitude that a drive gives at points [Pa], shape [K]."""
+    """Pressure amplitude of a drive at points [Pa], shape [K]."""
     return np.abs(acoustic_field(array, drive, points))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Run in levitate's environment: the pressure of each transducer at points, by its own formulas.
+"""Runs in levitate's environment: the pressure of each transducer at points, by its formulas.
 
 ``python levitate_field.py SCENE.npz RESULT.npz``
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A process that starts an array server and sends to it until it is killed, as Blender may be."""
+"""A process that starts an array server and sends to it until killed, as Blender may be."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An OpenMPD board in a process of its own, on a socket of its own instead of USB.
+"""A simulated OpenMPD board in a separate process, on a socket instead of USB.
 
-What arrives on the socket is what a backend of pyusb was told: a line of JSON for each call,
-answered with one. On the standard input: ``state``, ``stall``, ``resume``, ``unplug``, ``plug``,
+The socket receives the calls of a pyusb backend, one line of JSON each, and answers each with a
+line. Commands on standard input: ``state``, ``stall``, ``resume``, ``unplug``, ``plug``,
 ``reboot``.
 """
 
@@ -20,7 +20,7 @@ OFF = {"phases": [0] * 256, "widths": [0] * 256}
 
 
 class OpenMPDBoard:
-    """Takes 512 bytes a message, found by the flag of its first byte."""
+    """Receives messages of 512 bytes, whose first byte has a flag."""
 
     def __init__(self) -> None:
         self.plugged, self.stalled = True, False
@@ -29,13 +29,13 @@ class OpenMPDBoard:
         self.power_up()
 
     def power_up(self) -> None:
-        """All on, in phase."""
+        """Switch all transducers on, in phase."""
         self.phases, self.widths = [0] * 256, [64] * 256
         self.index = 512
         self.buffer = bytearray(512)
 
     def feed(self, data: bytes) -> None:
-        """Take bytes from the FIFO."""
+        """Process bytes from the FIFO."""
         for byte in data:
             if byte >= 128 and self.index != 25:
                 self.index = 0
@@ -95,7 +95,7 @@ def main() -> None:
                 )
             else:
                 assert isinstance(key.fileobj, socket.socket)
-                # A server that is killed may leave half a line.
+                # A server that is killed may leave an incomplete line.
                 try:
                     call = json.loads(readers[key.fileobj].readline())
                 except (OSError, ValueError):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An array server whose USB is a backend of pyusb that talks to an `openmpd_board`.
+"""An array server whose USB is a pyusb backend connected to an `openmpd_board`.
 
-Its words are the board's port, then the array server's own.
+Its arguments are the board's port, then those of the array server.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ENDPOINT_OUT, ENDPOINT_IN = 0x02, 0x81
 
 
 class BoardBackend(usb.backend.IBackend):  # type: ignore[misc]
-    """One FT232H, whose bulk data and control requests go to a board in another process."""
+    """One FT232H, which passes bulk data and control requests to a board in another process."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection(("127.0.0.1", port))
@@ -165,7 +165,7 @@ def main() -> int:
     backend = BoardBackend(int(sys.argv[1]))
     setattr(ftdi_fifo, "find_backend", lambda: backend)  # noqa: B010
 
-    # The guard must reach the same board.
+    # The guard must use the same board.
     def start_here(part: str, words: Any, *, stdout: Any = None) -> Any:
         import subprocess
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A SonicSurface in a process of its own, written from its protocol's table.
+"""A simulated SonicSurface in a separate process, written from the table of its protocol.
 
-Its words are the firmware, stock or tactile, and the number of boards, 1 or 2.
+Its arguments are the firmware, stock or tactile, and the number of boards, 1 or 2.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ OFF = 32
 
 
 class SonicSurfaceBoard:
-    """One FPGA: which bytes it obeys, and the two patterns that it exchanges."""
+    """One FPGA: its two patterns, and whether it is selected."""
 
     def __init__(self, *, tactile: bool, secondary: bool) -> None:
         self.tactile = tactile
@@ -24,7 +24,7 @@ class SonicSurfaceBoard:
         self.power_up()
 
     def power_up(self) -> None:
-        """Stock boards start with all transducers on, in phase; the tactile one is silent."""
+        """Start with all transducers on, in phase; with the tactile firmware, start silent."""
         start = OFF if self.tactile else 0
         self.current = [start] * 256
         self.previous = [start] * 256
@@ -34,7 +34,7 @@ class SonicSurfaceBoard:
         self.clocks = True
 
     def feed(self, byte: int) -> None:
-        """Obey a byte."""
+        """Process a byte."""
         if byte == 0xFE and self.enabled:
             self.counter = 0
         elif byte == 0xFD:
@@ -53,7 +53,7 @@ class SonicSurfaceBoard:
 
 
 class SonicSurface:
-    """One or two boards on one wire."""
+    """One or two boards on the same wire."""
 
     def __init__(self, *, tactile: bool, count: int) -> None:
         self.tactile = tactile
@@ -73,14 +73,14 @@ class SonicSurface:
             board.power_up()
 
     def pattern(self) -> list[int]:
-        """Phase of each of the 256 emitters; 32 is off."""
+        """Phase of each of the 256 transducers; 32 is off."""
         wired = 256 // len(self.boards)
         emitted = [phase for board in self.boards for phase in board.current[:wired]]
         # This firmware drops the lowest bit.
         return [phase & 0b111110 for phase in emitted] if self.tactile else emitted
 
     def sounds(self) -> bool:
-        # The wired part only: the rest of a board's outputs goes nowhere.
+        # Only these outputs of a board are connected.
         wired = 256 // len(self.boards)
         return any(set(board.current[:wired]) != {OFF} for board in self.boards if board.clocks)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The field and the drives against packages that others wrote, each in an environment of its own.
+"""The field and the drives against other packages, each in a separate environment.
 
-``make acoustic-peers`` makes the environments and runs this; without them it is skipped.
+``make acoustic-peers`` creates the environments and runs these tests; otherwise they are skipped.
 """
 
 import subprocess
@@ -21,7 +21,7 @@ FOLDER = Path(__file__).resolve().parent
 
 
 def run_peer(name: str, repository: Path, folder: Path, **scene: Any) -> dict[str, np.ndarray]:
-    """Run a peer's script on arrays and read what it gives."""
+    """Run a peer's script on arrays, and return its results."""
     python = ready(PEERS[name], repository)
     if python is None:
         pytest.skip(f"{name} is not installed in build/peers: `make acoustic-peers` does it")
@@ -39,7 +39,7 @@ def run_peer(name: str, repository: Path, folder: Path, **scene: Any) -> dict[st
 
 
 def test_field_is_levitates(repository: Path, tmp_path: Path) -> None:
-    """Meet levitate's pressure of each of 256 transducers at points all around, to 1e-4."""
+    """Match levitate's pressure of each of 256 transducers at points all around, to 1e-4."""
     random = np.random.default_rng(0)
     points = random.uniform((-0.1, -0.1, 0.03), (0.1, 0.1, 0.3), (200, 3))
     found = run_peer(
@@ -60,13 +60,13 @@ def test_field_is_levitates(repository: Path, tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def sphere() -> TransducerArray:
-    """AUTD3 as its emulator has it, without directivity."""
+    """AUTD3 as in its emulator, without directivity."""
     return replace(TransducerArray.preset("autd3"), radius=0.0)
 
 
 @pytest.fixture(scope="module")
 def targets() -> list[Targets]:
-    """What both solvers are asked for."""
+    """The targets for both solvers."""
     return random_targets(100)
 
 
@@ -77,7 +77,7 @@ def autd3(
     repository: Path,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> dict[str, np.ndarray]:
-    """What autd3 makes of targets, and of our drives for the first twelve of them."""
+    """autd3's results for the targets, and for our drives of the first twelve of them."""
     phases, amplitudes = zip(
         *(drive_steps(sphere, solve_drive(sphere, *t)) for t in targets[:12]), strict=True
     )
@@ -96,14 +96,14 @@ def autd3(
 
 
 def test_geometry_is_autd3s(sphere: TransducerArray, autd3: dict[str, np.ndarray]) -> None:
-    """Have all 249 transducers where autd3 has them, in its order."""
+    """Match the positions and order of all 249 transducers in autd3."""
     assert np.abs(autd3["positions"] - sphere.positions).max() < 1e-6
 
 
 def test_autd3s_emulator_hears_what_we_drive(
     sphere: TransducerArray, targets: list[Targets], autd3: dict[str, np.ndarray]
 ) -> None:
-    """Find in its emulator the pressure of our drives at foci, and the target with it."""
+    """Match the pressure of our drives in its emulator, which also reaches the targets."""
     ratios = []
     for (points, pressures), (x, y, z, rms) in zip(targets[:12], autd3["fields"], strict=True):
         drive = solve_drive(sphere, points, pressures)
@@ -117,7 +117,7 @@ def test_autd3s_emulator_hears_what_we_drive(
 def test_drives_are_better_than_autd3s(
     sphere: TransducerArray, targets: list[Targets], autd3: dict[str, np.ndarray]
 ) -> None:
-    """Spread less about the targets than autd3's GS-PAT, which spreads as ours does."""
+    """Scatter less around the targets than autd3's GS-PAT, which scatters like ours."""
     spread = {}
     theirs = autd3["intensities"] / 255 * np.exp(2j * np.pi / 256 * autd3["phases"])
     for name in ("autd3", "gspat", "exact"):

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An Ultraino board in a process of its own: fpga, fpga128 or mega, and the number of boards."""
+"""A simulated Ultraino board in a separate process.
+
+Its arguments are fpga, fpga128 or mega, and the number of boards.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from tactile_clay.tests.haptics.peers.serial_peer import Board, serve
 
 
 class Fpga:
-    """SimpleFPGA: phases and pulse widths in two patterns each, exchanged by 253."""
+    """SimpleFPGA: two patterns of phases and pulse widths, exchanged by the byte 253."""
 
     def __init__(self, *, emitters: int, divisions: int) -> None:
         self.emitters = emitters
@@ -19,7 +22,7 @@ class Fpga:
         self.power_up()
 
     def power_up(self) -> None:
-        """All on, in phase."""
+        """Switch all transducers on, in phase."""
         self.phases = [[0] * self.emitters, [0] * self.emitters]
         self.widths = [[self.divisions // 2] * self.emitters for _ in range(2)]
         self.current = 0
@@ -27,7 +30,7 @@ class Fpga:
         self.counter = self.emitters
 
     def feed(self, data: bytes) -> bytes:
-        # 192 enables all boards, and this one is enabled.
+        # The byte 192 enables all boards; this one is always enabled.
         for byte in data.replace(b"\xc0", b""):
             if byte in (254, 251):
                 self.target = (self.phases if byte == 254 else self.widths)[1 - self.current]
@@ -63,14 +66,14 @@ PATTERNS = 32
 
 
 class Mega:
-    """One Arduino Mega of a chain: its number is what is left of a byte's low half."""
+    """One Arduino Mega of a chain; the low half of each byte counts down to the board."""
 
     def __init__(self) -> None:
         self.exchanges = 0
         self.power_up()
 
     def power_up(self) -> None:
-        """The first half of the first waveform is high on every pin."""
+        """Set every pin high in the first half of the first waveform."""
         self.buffers = [bytearray(PATTERNS * DIVISIONS * PORTS) for _ in range(2)]
         self.buffers[0][: DIVISIONS * PORTS // 2] = b"\xff" * (DIVISIONS * PORTS // 2)
         self.durations = [1] + [0] * (PATTERNS - 1)
@@ -79,7 +82,7 @@ class Mega:
         self.index = self.duration_index = 0
 
     def feed(self, byte: int) -> int:
-        """Obey a byte, and pass on what the next board gets."""
+        """Process a byte, and return what is passed on to the next board."""
         if byte == 0:
             self.emitting = 1 - self.emitting
             self.exchanges += 1
@@ -106,7 +109,7 @@ class Mega:
         return byte - 1
 
     def waveforms(self) -> list[tuple[int, bytes]]:
-        """What sounds in turn: durations in periods, and the bytes of a period."""
+        """The waveforms emitted in turn: durations in periods, and the bytes of a period."""
         size = DIVISIONS * PORTS
         found = []
         for place, duration in enumerate(self.durations):
@@ -119,7 +122,7 @@ class Mega:
 
 
 class MegaChain:
-    """Boards one after another, each hearing what the one before passes on."""
+    """Boards in a chain, each of which passes data on to the next."""
 
     def __init__(self, count: int) -> None:
         self.boards = [Mega() for _ in range(count)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Datagrams: what is written is read again, and nothing else is read at all."""
+"""Datagrams: decoding returns what was encoded, and rejects everything else."""
 
 import struct
 import zlib
@@ -34,10 +34,10 @@ rows = hnp.arrays(
     st.floats(0.0, 1e9),
     st.sampled_from(Modulation),
 )
-def test_focal_points_come_through(
+def test_focal_points_round_trip(
     table: np.ndarray, session: int, sequence: int, time: float, modulation: Modulation
 ) -> None:
-    """Read back exactly what was written, whatever the numbers are."""
+    """Decode exactly what was encoded, for any numbers."""
     data = encode(
         Kind.FOCI,
         session=session,
@@ -56,21 +56,21 @@ def test_focal_points_come_through(
 
 
 @given(st.dictionaries(st.text(), st.one_of(st.none(), st.booleans(), st.integers(), st.text())))
-def test_tables_come_through(table: dict) -> None:
-    """Read back a table of a status."""
+def test_tables_round_trip(table: dict) -> None:
+    """Decode the JSON body of a status."""
     assert decode(encode(Kind.STATUS, session=1, sequence=2, time=3.0, table=table)).table == table
 
 
 @given(st.binary(max_size=300))
 def test_noise_is_refused(data: bytes) -> None:
-    """Refuse bytes that happen to come, with an error of its own and no other."""
+    """Refuse arbitrary bytes with a DatagramError and no other error."""
     with pytest.raises(DatagramError):
         decode(data)
 
 
 @given(st.data())
 def test_any_change_is_refused(data: st.DataObject) -> None:
-    """Refuse a datagram with one bit turned, cut short or made longer."""
+    """Refuse a datagram with a flipped bit, or one that was truncated or extended."""
     whole = encode(
         Kind.FOCI,
         session=7,
@@ -92,7 +92,7 @@ def test_any_change_is_refused(data: st.DataObject) -> None:
 
 
 def forged(head: tuple[int, ...], body: bytes) -> bytes:
-    """A datagram with a right checksum and an arbitrary header."""
+    """A datagram with a correct checksum and an arbitrary header."""
     data = struct.pack("<4sBBBBIIQQ", b"TCFP", *head) + body
     return data + struct.pack("<I", zlib.crc32(data))
 
@@ -110,8 +110,8 @@ def forged(head: tuple[int, ...], body: bytes) -> bytes:
     ),
     st.binary(max_size=64),
 )
-def test_a_right_checksum_is_not_enough(head: tuple[int, ...], body: bytes) -> None:
-    """Read no more than what is there, however the head is forged."""
+def test_a_correct_checksum_is_not_enough(head: tuple[int, ...], body: bytes) -> None:
+    """Never read past the end, however the header is forged."""
     try:
         read = decode(forged(head, body))
     except DatagramError:
@@ -120,9 +120,9 @@ def test_a_right_checksum_is_not_enough(head: tuple[int, ...], body: bytes) -> N
     assert len(read.positions) == len(read.pressures) <= MAX_FOCI
 
 
-def test_what_cannot_be_sent_is_named() -> None:
+def test_invalid_focal_points_are_not_encoded() -> None:
     """Say what is wrong with focal points before they are sent."""
-    with pytest.raises(ValueError, match="more than 64"):
+    with pytest.raises(ValueError, match="maximum of 64"):
         encode(
             Kind.FOCI,
             session=0,
@@ -137,8 +137,8 @@ def test_what_cannot_be_sent_is_named() -> None:
         encode(Kind.STATUS, session=0, sequence=0, time=0.0, table={"a": "x" * 70000})
 
 
-def test_the_format_stays_as_it_is() -> None:
-    """Keep the bytes that a bridge in another language reads."""
+def test_the_format_does_not_change() -> None:
+    """Keep the bytes that the bridge in C++ reads."""
     data = encode(
         Kind.FOCI,
         session=0x01020304,

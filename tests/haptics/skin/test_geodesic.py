@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Distances along surfaces whose shortest ways are known."""
+"""Distances along surfaces whose shortest paths are known."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from tactile_clay.haptics.skin.geodesic import geodesic_distances
 
 
 def only(count: int, *indices: int) -> np.ndarray:
-    """A mask of these vertices."""
+    """A mask that selects these vertices."""
     mask = np.zeros(count, bool)
     mask[list(indices)] = True
     return mask
@@ -20,7 +20,7 @@ def only(count: int, *indices: int) -> np.ndarray:
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10_000))
 def test_exact_on_a_plane(seed):
-    """Meet straight lines on a plane, however it is cut into triangles."""
+    """Match straight lines on a plane with any triangulation."""
     random = np.random.default_rng(seed)
     size = 9
     grid = np.stack(np.meshgrid(np.arange(size), np.arange(size), [0.0]), -1).reshape(-1, 3)
@@ -40,7 +40,7 @@ def test_exact_on_a_plane(seed):
 
 
 def test_on_a_sphere_a_third_of_a_percent_off():
-    """Meet great circles on a sphere of 2,562 vertices."""
+    """Match great circles on a sphere of 2,562 vertices."""
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     vertices = np.asarray(sphere.vertices)
     found = geodesic_distances(vertices, np.asarray(sphere.faces), only(len(vertices), 0))
@@ -51,7 +51,7 @@ def test_on_a_sphere_a_third_of_a_percent_off():
 
 
 def test_error_falls_with_the_mesh():
-    """Come nearer to great circles on a finer sphere."""
+    """Come closer to great circles on a finer sphere."""
     errors = []
     for level in (2, 3, 4):
         sphere = trimesh.creation.icosphere(subdivisions=level)
@@ -63,7 +63,7 @@ def test_error_falls_with_the_mesh():
 
 
 def test_around_a_cylinder_within_one_percent():
-    """Go around, not through, what is rolled up."""
+    """Go around a cylinder, not through it."""
     radius, around, high = 0.01, 48, 31
     angle = np.arange(around) * 2 * np.pi / around
     height = np.arange(high) * 2 * np.pi * radius / around
@@ -87,7 +87,7 @@ def test_around_a_cylinder_within_one_percent():
 
 
 def test_straight_fronts_stay_straight():
-    """Meet the distance from an edge of a plane, of whatever triangles."""
+    """Match the distance from an edge of a plane with irregular triangles."""
     random = np.random.default_rng(3)
     grid = np.stack(np.meshgrid(np.arange(12), np.arange(12), [0.0]), -1).reshape(-1, 3)
     inner = (grid[:, :2] > 0).all(1) & (grid[:, :2] < 11).all(1)
@@ -99,7 +99,7 @@ def test_straight_fronts_stay_straight():
 
 
 def test_nearest_of_several_sources():
-    """Measure from the nearest source, and tell what cannot be reached."""
+    """Measure from the nearest source, and give infinity where none can be reached."""
     grid = np.array([(x, y, 0.0) for x in range(11) for y in range(2)] + [(50.0, 0, 0)])
     faces = [[2 * i, 2 * i + 2, 2 * i + 1] for i in range(10)]
     faces += [[2 * i + 1, 2 * i + 2, 2 * i + 3] for i in range(10)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pressure field: forces become pascals, spread, faded and mapped, and nothing is lost."""
+"""The pressure field: forces become pressures that are smoothed, filtered and mapped."""
 
 from dataclasses import dataclass, replace
 
@@ -26,24 +26,24 @@ class Contacts:
 
 
 def sheet(count: int = 15, seed: int = 0) -> Contacts:
-    """A flat piece of skin that faces up, with ghosts a little off their places."""
+    """A flat piece of skin that faces up, with ghosts on a jittered grid."""
     random = np.random.default_rng(seed)
     grid = (np.arange(count) - 0.5 * (count - 1)) * SPACING
-    places = np.stack(np.meshgrid(grid, grid, [0.0], indexing="ij"), -1).reshape(-1, 3)
-    places[:, :2] += random.uniform(-0.2, 0.2, (len(places), 2)) * SPACING
-    areas = SPACING**2 * random.uniform(0.7, 1.3, len(places))
-    normals = np.tile((0.0, 0.0, 1.0), (len(places), 1))
-    return Contacts(places, normals, areas, np.zeros_like(places))
+    positions = np.stack(np.meshgrid(grid, grid, [0.0], indexing="ij"), -1).reshape(-1, 3)
+    positions[:, :2] += random.uniform(-0.2, 0.2, (len(positions), 2)) * SPACING
+    areas = SPACING**2 * random.uniform(0.7, 1.3, len(positions))
+    normals = np.tile((0.0, 0.0, 1.0), (len(positions), 1))
+    return Contacts(positions, normals, areas, np.zeros_like(positions))
 
 
 def pressed(contacts: Contacts, pressure) -> Contacts:
-    """The same under a pressure [Pa], one or one a ghost."""
+    """The contacts under a pressure [Pa], either uniform or one value per ghost."""
     force = -np.asarray(pressure)[..., None] * contacts.areas[:, None] * contacts.normals
     return replace(contacts, forces=force)
 
 
-def test_even_pressure_stays_as_it_is():
-    """Turn newtons over areas into the pascals that were there, to the sheet's edge."""
+def test_uniform_pressure_is_unchanged():
+    """Recover a uniform pressure from the forces, up to the edge of the sheet."""
     field = PressureField.from_contacts(pressed(sheet(), 20e3), ABOVE)
     assert np.allclose(field.contact_pressures, 20e3, rtol=1e-3)
     assert np.allclose(field.pressures, focal_pressure(20e3), rtol=1e-3)
@@ -51,7 +51,7 @@ def test_even_pressure_stays_as_it_is():
 
 
 def test_smoothing_keeps_the_force():
-    """Keep ∫ p dA of a point load, and spread it over about one spacing."""
+    """Preserve ∫ p dA of a point load, and spread it over about one spacing."""
     contacts = sheet()
     load = np.zeros(len(contacts.areas))
     load[len(load) // 2] = 50e3
@@ -67,15 +67,15 @@ def test_smoothing_keeps_the_force():
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_smoothing_keeps_any_force(seed):
-    """Keep the whole force of any load on any irregular skin."""
+    """Preserve the total force of any load on irregular skin."""
     contacts = sheet(9, seed)
     load = np.random.default_rng(seed).exponential(1e4, len(contacts.areas))
     field = PressureField.from_contacts(pressed(contacts, load), ABOVE)
     assert field.contact_pressures @ field.areas == pytest.approx(load @ contacts.areas, rel=1e-9)
 
 
-def test_only_what_pushes_counts():
-    """Take the normal part of a force, and nothing of what pulls or shears."""
+def test_only_compression_counts():
+    """Use the normal component of a force, and ignore tension and shear."""
     contacts = sheet()
     pulled = PressureField.from_contacts(pressed(contacts, -5e3), ABOVE)
     assert (pulled.pressures == 0.0).all()
@@ -86,7 +86,7 @@ def test_only_what_pushes_counts():
 
 
 def test_skin_that_faces_away_is_left_out():
-    """Show the array only what it can reach, and keep one side's load off the other."""
+    """Include only skin that faces the array, unaffected by the load on the other side."""
     up = pressed(sheet(), 10e3)
     down = replace(pressed(sheet(), 30e3), normals=-up.normals)
     both = Contacts(
@@ -105,7 +105,7 @@ def test_skin_that_faces_away_is_left_out():
 
 
 def test_force_inside_counts_for_the_nearest_skin():
-    """Hand what inner ghosts bear to the surface."""
+    """Add the force on inner ghosts to the surface."""
     contacts = sheet()
     inner = Contacts(
         np.vstack((contacts.positions, (0, 0, -0.004))),
@@ -120,8 +120,8 @@ def test_force_inside_counts_for_the_nearest_skin():
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.floats(1e-4, 0.2), min_size=1, max_size=8))
-def test_fading_is_the_same_in_any_steps(steps):
-    """Follow a load by 1 − e^{−t / 30 ms}, however a time is divided into frames."""
+def test_fading_does_not_depend_on_the_time_step(steps):
+    """Follow a load by 1 − e^{−t / 30 ms}, however the time is divided into frames."""
     contacts = sheet(5)
     field = PressureField.from_contacts(contacts, ABOVE)
     for dt in steps:
@@ -131,7 +131,7 @@ def test_fading_is_the_same_in_any_steps(steps):
 
 
 def test_skin_that_turns_away_fades():
-    """Let go of skin that no longer faces the array as of skin that is no longer touched."""
+    """Fade skin that turns away from the array like skin that is no longer touched."""
     contacts = pressed(sheet(5), 10e3)
     field = PressureField.from_contacts(contacts, ABOVE)
     field = PressureField.from_contacts(contacts, (0, 0, -1), previous=field, dt=FADE_TIME)
@@ -144,15 +144,15 @@ def test_skin_that_turns_away_fades():
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0, 1e6), st.floats(1e-3, 1e5), st.floats(1e-3, 1.0), st.floats(10.0, 5e3))
 def test_the_map_to_focal_pressure_rises_below_its_ceiling(pressure, more, gain, ceiling):
-    """Feel harder contact as harder, never beyond the ceiling, with the gain for a light touch."""
+    """Increase with contact pressure up to the ceiling, with slope `gain` for a light touch."""
     low, high = focal_pressure([pressure, pressure + more], gain=gain, ceiling=ceiling)
     assert 0.0 <= low <= high <= ceiling
     assert high > low or high > 0.999999 * ceiling
     assert focal_pressure(1e-3, gain=gain, ceiling=ceiling) == pytest.approx(1e-3 * gain, rel=1e-3)
 
 
-def test_the_map_fits_what_clay_presses_with():
-    """Spread soft to stiff clay (6 τ_y for 1, 5 and 25 kPa) over what an array can give."""
+def test_the_map_suits_the_pressure_of_clay():
+    """Spread soft to stiff clay (6 τ_y for 1, 5 and 25 kPa) over the range of an array."""
     soft, medium, stiff = focal_pressure([6e3, 30e3, 150e3])
     assert 150.0 < soft < 300.0
     assert 600.0 < medium < 800.0
@@ -160,8 +160,8 @@ def test_the_map_fits_what_clay_presses_with():
     assert soft == pytest.approx(6e3 * GAIN, rel=0.15)
 
 
-def test_ghosts_that_are_not_finite_are_dropped_and_hold():
-    """Let no NaN into the field; count it, and hold what was there."""
+def test_ghosts_that_are_not_finite_are_dropped():
+    """Keep NaN out of the field, count it, and keep the previous state of that ghost."""
     contacts = pressed(sheet(5), 10e3)
     field = PressureField.from_contacts(contacts, ABOVE)
     broken = replace(contacts, forces=contacts.forces.copy())
@@ -175,7 +175,7 @@ def test_ghosts_that_are_not_finite_are_dropped_and_hold():
 
 
 def test_two_hands_make_one_field():
-    """Join fields, and nothing at all, for the array that serves both hands."""
+    """Join the fields of two hands, and of no hands."""
     first = PressureField.from_contacts(pressed(sheet(4), 10e3), ABOVE)
     second = PressureField.from_contacts(pressed(sheet(5), 20e3), ABOVE)
     both = PressureField.joined([first, second])
@@ -195,7 +195,7 @@ def test_two_hands_make_one_field():
     ],
 )
 def test_bad_input_is_refused(options, message):
-    """Say what does not fit."""
+    """Say what is wrong."""
     if "previous" in options:
         options = options | {"previous": PressureField.from_contacts(sheet(4), ABOVE)}
     with pytest.raises(ValueError, match=message):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from tactile_clay.haptics.skin.finger_pads import find_finger_pads
-from tactile_clay.haptics.skin.sensitivity import ReceptorDensity, SkinSensitivity, _on_surface
+from tactile_clay.haptics.skin.sensitivity import ReceptorDensity, SkinSensitivity, _interpolated
 from tactile_clay.tests.haptics.hands import bare_rig, hand_shape
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 
 
 def webxr(name: str) -> str:
-    """A joint of OpenXR as WebXR calls it."""
+    """WebXR's name for a joint of OpenXR."""
     finger, _, segment = name.partition("_")
     if segment in ("", "tip"):
         return name.replace("_", "-")
@@ -25,7 +25,7 @@ def webxr(name: str) -> str:
 
 
 def rigify(name: str) -> str:
-    """As Rigify does, in a right hand."""
+    """Rigify's name, in a right hand."""
     if "_" not in name:
         return {"wrist": "hand.R", "palm": "palm.R"}[name]
     finger, _, segment = name.partition("_")
@@ -35,7 +35,7 @@ def rigify(name: str) -> str:
 
 
 def mixamo(name: str) -> str:
-    """As Mixamo does, in a left hand."""
+    """Mixamo's name, in a left hand."""
     if "_" not in name:
         return "mixamorig:LeftHand" if name == "wrist" else "mixamorig:LeftForeArm"
     finger, _, segment = name.partition("_")
@@ -55,7 +55,7 @@ def mixamo(name: str) -> str:
     ],
 )
 def test_pads_are_found_by_names_and_shape(options, pose):
-    """Find all five pads on their fingertips' palm side, whatever bones are called."""
+    """Find all five pads on the palm side of the fingertips, with any naming of bones."""
     rig = bare_rig(pose=pose, **options)
     pads = find_finger_pads(rig)
     assert pads.fingers == FINGERS
@@ -63,20 +63,20 @@ def test_pads_are_found_by_names_and_shape(options, pose):
     chosen = rig.vertices[pads.vertices]
     scale = options.get("length", 0.19) / 0.19
     middles = [0.5 * (shape.joints[f"{f}_tip"] + shape.joints[f"{f}_distal"]) for f in FINGERS]
-    away = np.linalg.norm(chosen[:, None] - np.array(middles), axis=2)
-    assert away.min(1).max() < 0.025 * scale
+    distance = np.linalg.norm(chosen[:, None] - np.array(middles), axis=2)
+    assert distance.min(1).max() < 0.025 * scale
     for finger, middle, own in zip(
-        FINGERS, middles, np.arange(5)[:, None] == away.argmin(1), strict=True
+        FINGERS, middles, np.arange(5)[:, None] == distance.argmin(1), strict=True
     ):
         assert own.sum() > 8
         below = -((chosen[own] - middle) @ shape.axes[f"{finger}_tip"][:, 2])
-        # A thumb that is bound bent has its pad found turned by up to 45 degrees.
+        # If the thumb is bent when bound, its pad is found rotated by up to 45 degrees.
         assert np.mean(below > 0.0) > (0.7 if finger == "thumb" else 0.95)
     assert pads.finger_length == pytest.approx(0.0628 * scale, rel=0.03)
 
 
-def test_the_other_hand_of_a_body_is_left_alone():
-    """Find a right hand's pads in a skeleton that holds both hands."""
+def test_the_other_hand_of_a_body_is_ignored():
+    """Find the pads of a right hand in a skeleton with both hands."""
     rig = bare_rig("right", named=lambda name: f"{name}.R")
     rest = np.concatenate([rig.bone_rest, rig.bone_rest])
     rest[len(rig.bone_rest) :, 0, 3] += 0.8
@@ -90,14 +90,14 @@ def test_the_other_hand_of_a_body_is_left_alone():
 
 
 def test_a_hand_without_fingers_is_refused():
-    """Say which names are understood where no bone is named after a finger."""
+    """Say which names are understood if no bone is named after a finger."""
     rig = bare_rig(named=lambda name: "bone" + str(abs(hash(name))))
     with pytest.raises(ValueError, match="thumb, index, middle"):
         find_finger_pads(rig)
 
 
 def test_weights_are_one_at_the_pads_and_fall_along_the_skin():
-    """Weigh pads fully, the palm by its share of receptors, and never more farther away."""
+    """Give pads weight 1, the palm its relative receptor density, decreasing with distance."""
     rig = bare_rig()
     skin = SkinSensitivity.of(rig)
     assert (skin.vertices[skin.pads.vertices] == 1.0).all()
@@ -105,49 +105,49 @@ def test_weights_are_one_at_the_pads_and_fall_along_the_skin():
     assert (np.diff(skin.vertices[order]) <= 0.0).all()
     palm = np.linalg.norm(rig.vertices[:, :2] - (0.0, 0.05), axis=1) < 0.02
     assert np.allclose(skin.vertices[palm], 58.0 / 241.0, atol=0.01)
-    # Ghosts of this rig sit on the vertices.
+    # The ghosts of this rig are at the vertices.
     assert np.allclose(skin.ghosts, skin.vertices)
 
 
-def test_weights_go_along_the_skin_not_through_the_finger():
-    """Reach a nail around the finger, not from the pad through the bone."""
+def test_distances_go_along_the_skin_not_through_the_finger():
+    """Reach a nail around the finger, not through the bone."""
     rig = bare_rig(pose="flat")
     skin = SkinSensitivity.of(rig)
     straight = np.linalg.norm(
         rig.vertices[:, None] - rig.vertices[skin.pads.vertices][None], axis=2
     ).min(1)
-    # A pad reaches to the middle of its edges, which its vertices do not.
+    # The straight line may start at a vertex inside the pad, so allow 1 mm.
     assert (skin.distances > straight - 0.001).all()
     assert (skin.distances > 1.25 * straight).sum() > 20
 
 
 def test_left_and_right_mirror_each_other():
-    """Weigh a left hand as the right hand's mirror image."""
+    """Give a left hand the mirrored weights of a right hand."""
     right, left = bare_rig("right"), bare_rig("left")
     assert np.allclose(right.vertices * (-1, 1, 1), left.vertices)
     assert np.allclose(SkinSensitivity.of(right).vertices, SkinSensitivity.of(left).vertices)
 
 
 def test_mean_over_a_finger_is_its_density():
-    """Give the finger's main part, on average, its share of the fingertip's receptors."""
+    """Average to the finger's receptor density relative to the fingertip."""
     density = ReceptorDensity.preset()
     assert (density.fingertip, density.finger, density.palm) == (241.0, 93.0, 58.0)
-    way = (np.arange(100_000) + 0.5) / 100_000 * 0.063
-    assert density.weights(way, 0.063).mean() == pytest.approx(93.0 / 241.0, rel=1e-6)
+    distances = (np.arange(100_000) + 0.5) / 100_000 * 0.063
+    assert density.weights(distances, 0.063).mean() == pytest.approx(93.0 / 241.0, rel=1e-6)
     near, far = density.weights([0.0, np.inf], 0.063)
     assert (near, far) == (1.0, pytest.approx(58.0 / 241.0))
 
 
-def test_densities_that_do_not_fall_are_refused():
-    """Refuse a palm that feels more than a finger."""
-    with pytest.raises(ValueError, match=re.escape("fall from fingertip")):
+def test_densities_that_do_not_decrease_are_refused():
+    """Refuse a palm that is more sensitive than a finger."""
+    with pytest.raises(ValueError, match=re.escape("decrease from fingertip")):
         ReceptorDensity(fingertip=241.0, finger=50.0, palm=58.0)
 
 
-def test_values_are_read_between_vertices():
-    """Read a linear function exactly at places on triangles, and beside their edges."""
+def test_values_are_interpolated_between_vertices():
+    """Interpolate a linear function exactly on triangles, and at their edges."""
     vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0.0), (9, 9, 9)])
     faces = np.array([(0, 1, 2), (1, 3, 2)])
     points = np.array([(0.25, 0.25, 0.1), (0.8, 0.7, -0.2), (0.5, -0.3, 0.0)])
-    found = _on_surface(vertices, faces, vertices @ (2.0, 3.0, 0.0), points)
+    found = _interpolated(vertices, faces, vertices @ (2.0, 3.0, 0.0), points)
     assert np.allclose(found, [1.25, 3.7, 1.0])

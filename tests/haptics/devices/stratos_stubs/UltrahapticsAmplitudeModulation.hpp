@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Stands in for SDK 2's header, from its public description: it says on stderr what it is told.
+// Stub of SDK 2's header, from its public documentation: it prints its calls to stderr.
 
 #pragma once
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Stands in for SDK 3's header, from its public description: it calls back as the device would, at a
-// thousand callbacks a second of five samples each, and says on stderr what it is told.
+// Stub of SDK 3's header, from its public documentation: it calls back like the device, a thousand
+// times per second with five samples each, and prints the results to stderr.
 
 #pragma once
 
@@ -145,7 +145,7 @@ private:
     std::size_t count_ = 0;
     EmissionCallbackFunction callback_;
     std::atomic<bool> running_{false}, paused_{true};
-    std::mutex mutex_;  // A pause waits for the callback that is under way.
+    std::mutex mutex_;  // A pause waits for the running callback.
     std::thread thread_;
 };
 
