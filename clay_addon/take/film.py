@@ -113,6 +113,9 @@ def _filled(
     live: list[bpy.types.Object], spacing: float, scene: bpy.types.Scene
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """World positions and colors of the film's particles, for each clay object."""
+    # Warp may be missing until this is needed.
+    from ...solver.geometry.relax import relax_to_surface
+
     starts = [take_start(item) for item in live]
     known = [start for start in starts if start is not None]
     own = [item.tactile_clay.spacing for item in live]
@@ -129,9 +132,14 @@ def _filled(
         points = fill_pieces(shapes, spacing, scene, follow_thin_walls=True).points
     except ClayError as error:
         raise FilmError(f"At the start of the take: {error}") from error
+    # The live clay's surface runs through the finer lattice anyhow, which would leave pits.
+    even = [
+        relax_to_surface(filled, piece.mesh, spacing)
+        for filled, piece in zip(points, shapes, strict=True)
+    ]
     return [
         (filled, colors[nearest(positions, filled)])
-        for filled, (positions, colors) in zip(points, known, strict=True)
+        for filled, (positions, colors) in zip(even, known, strict=True)
     ]
 
 
@@ -202,6 +210,8 @@ def _make_clay(
         clay.data.materials.append(material)
     modifier = add_look(clay, spacing=spacing)
     shown = live.modifiers.get(MODIFIER_NAME)
+    # What was baked for a film is looked at as a surface, however many particles it has.
+    set_input(modifier, "Viewport Limit", max(get_input(modifier, "Viewport Limit"), len(points)))
     for name in ("Surface", "Smoothing", "Material"):
         if shown is not None and shown.node_group == modifier.node_group:
             set_input(modifier, name, get_input(shown, name))
