@@ -255,7 +255,7 @@ class Solver:
         if substeps > shortest:
             substeps = self._familiar(substeps)
         self._teleported += sum(teleported)
-        moving = (*self.scene.meshes, *self.scene.hands)
+        moving: list[MeshCollider | Hand] = [*self.scene.meshes, *self.scene.hands]
         jumps = zip(moving, teleported, near, strict=True)
         self.jumped = tuple(collider for collider, jump, close in jumps if jump and close)
         meshes.begin_step(duration, substeps, motions, boxes, teleported, near)

@@ -64,8 +64,8 @@ class Faults:
             spacing: Distance between particles [m].
             frame: The frame the step led to; None while clay is worked live.
         """
-        for collider in solver.jumped:
-            _add(self.jumps, names.get(id(collider), "The tool"), frame, 1.0)
+        for jumped in solver.jumped:
+            _add(self.jumps, names.get(id(jumped), "The tool"), frame, 1.0)
         figures = solver.diagnostics()
         if figures.max_penetration > MAX_PENETRATION * spacing:
             for collider, depth in solver.penetrations():

@@ -69,7 +69,8 @@ def test_clay_filled_anew_at_half_the_spacing_has_no_pits(
 ) -> None:
     """Where the live clay's faces are flat; where they have steps of their own, these stay."""
     box = trimesh.creation.box(sides)
-    live = exact_surface(fill_mesh(box.vertices, box.faces, 2.0 * SPACING), 2.0 * SPACING)
+    coarse = fill_mesh(box.vertices, box.faces, 2.0 * SPACING).astype(np.float64)
+    live = exact_surface(coarse, 2.0 * SPACING)
     mesh = closed_mesh(live.vertices, live.faces)
     (points,) = fill_pieces([Piece("Clay", mesh)], SPACING, bpy.context.scene).points
     even = relax_to_surface(points, mesh, SPACING).astype(np.float64)
