@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import ClosedMesh, MeshError, closed_mesh, mesh_volume
-from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..base.mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    is_switched_off,
+    oriented_triangles,
+    transform,
+)
 from ..base.units import from_meters, to_meters
 from ..core.surface.particle_grid import ParticleGrid
 
@@ -94,7 +100,9 @@ def closed_pieces(
         matrix = item.evaluated_get(depsgraph).matrix_world
         try:
             mesh = closed_mesh(
-                transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+                transform(matrix, vertices),
+                oriented_triangles(matrix, triangles),
+                name=repr(item.name),
             )
         except MeshError as error:
             raise ClayError(str(error)) from error

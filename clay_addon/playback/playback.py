@@ -186,7 +186,7 @@ def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | No
 @persistent
 def _on_reload(*_: object) -> None:
     timeline.forget()
-    later.ask(_show_all)
+    later.schedule(_show_all)
 
 
 def _show_all() -> None:

@@ -209,7 +209,7 @@ def _before_undo(*_: object) -> None:
 
 @persistent
 def _after_undo(*_: object) -> None:
-    later.ask(_take_back_brush)
+    later.schedule(_take_back_brush)
 
 
 def _take_back_brush() -> None:

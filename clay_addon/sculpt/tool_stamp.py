@@ -9,7 +9,13 @@ import bpy
 import numpy as np
 
 from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh
-from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..base.mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    is_switched_off,
+    oriented_triangles,
+    transform,
+)
 from ..core.tools.presets import ToolPreset, ToolPresetError, load_tool_preset
 
 
@@ -38,7 +44,7 @@ def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
     matrix = np.diag((*scale, 1.0))
     try:
         vertices, triangles = check_closed_mesh(
-            transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+            transform(matrix, vertices), oriented_triangles(matrix, triangles), name=repr(item.name)
         )
     except MeshError as error:
         raise ToolPresetError(str(error)) from error

@@ -17,8 +17,8 @@ from ..base.mesh_geometry import (
     evaluated_mesh,
     flat_plane,
     is_switched_off,
+    oriented_triangles,
     transform,
-    turn_for,
 )
 from ..base.units import meters_per_unit
 from ..core.storage.clay_layout import ClayLayout, ClaySlice
@@ -135,7 +135,7 @@ class Simulation:
         if kind == "MESH":
             _, stretch = rotation_and_stretch(matrix[:3, :3])
             self._meshes.append(
-                MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
+                MovingCollider(item, vertices, oriented_triangles(matrix, triangles), stretch)
             )
             return
         flat = flat_plane(transform(matrix, vertices))

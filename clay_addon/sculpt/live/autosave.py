@@ -165,7 +165,7 @@ def recover(context: bpy.types.Context, path: Path) -> list[str]:
 
 @persistent
 def _on_load(*_: object) -> None:
-    later.ask(_recover_beside_file)
+    later.schedule(_recover_beside_file)
 
 
 def _recover_beside_file() -> None:

@@ -263,12 +263,12 @@ def _leave_file() -> None:
 
 @persistent
 def _on_reload(*_: object) -> None:
-    later.ask(_reload)
+    later.schedule(_reload)
 
 
 @persistent
 def _on_load(*_: object) -> None:
-    later.ask(_leave_file)
+    later.schedule(_leave_file)
 
 
 @persistent
