@@ -86,7 +86,7 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
                 bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")
                 return {"RUNNING_MODAL"}
             if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
-                running.wheels.press_pedal(context.scene, _PEDAL[event.type])
+                running.wheels.change_speeds(context.scene, _PEDAL[event.type])
                 return {"RUNNING_MODAL"}
             if event.type == "ESC" and event.value == "PRESS":
                 return self._end(context)

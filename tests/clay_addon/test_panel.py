@@ -66,7 +66,7 @@ def test_stale_bake_is_reported(studio: Any, tmp_path: Path, scale: float) -> No
     clay.location.x += 1.0
     clay.scale = (scale, scale, scale)
     bpy.context.view_layer.update()
-    expected = "Changed since: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, so"
+    expected = "Changed since: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, which"
     assert expected in drawn(panel.CLAY_PT_bake)
 
 

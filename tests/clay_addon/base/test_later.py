@@ -62,7 +62,7 @@ def test_work_may_schedule_more_work(timers: list[Any]) -> None:
     queue = Later()
     done: list[str] = []
     more = lambda: done.append("more")  # noqa: E731
-    queue.schedule(lambda: queue.ask(more))
+    queue.schedule(lambda: queue.schedule(more))
     queue.run()
     assert done == ["more"]
 

@@ -289,7 +289,7 @@ def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
     # A quarter of a turn, less what it slips while it takes the clay along.
     turned = np.degrees((direction() - first) % (2.0 * np.pi))
     assert 70.0 < turned < 95.0
-    work.session.wheels.press_pedal(studio.scene, 30.0)
+    work.session.wheels.change_speeds(studio.scene, 30.0)
     before = direction()
     work.run(0.25)
     assert 75.0 < np.degrees((direction() - before) % (2.0 * np.pi)) < 100.0
