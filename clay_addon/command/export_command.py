@@ -18,7 +18,7 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
     from ..deliver.export import ExportError, check_target, export_clay
     from ..model.clay_scene import clay_objects
     from ..playback.playback import message, shown_frame
-    from ..playback.poses import plays_itself
+    from ..playback.poses import needs_no_cache
 
     if arguments.cache is not None:
         scene.tactile_clay.cache_directory = absolute_path(arguments.cache)
@@ -27,7 +27,7 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
         check_target(arguments.output, unit=arguments.unit)
         with context.temp_override(scene=scene):
             scene.frame_set(frame)
-            itself = all(plays_itself(item, frame) for item in clay_objects(scene))
+            itself = all(needs_no_cache(item, frame) for item in clay_objects(scene))
             if message(scene) and not itself:
                 raise CommandError(message(scene), EXIT_STALE)
             shown = frame if itself else shown_frame(scene)

@@ -309,7 +309,7 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     current.stop(bpy.context)
     assert current.session is None
     assert not list(tmp_path.glob("*autosave*"))
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
 
 
 def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
@@ -361,7 +361,7 @@ def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
     """Say what is missing, and leave all as it is."""
     with pytest.raises(SculptError, match="no clay"):
         SculptSession(bpy.context)
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
 
 
 def session_threads() -> set[str]:
@@ -399,7 +399,7 @@ def test_all_threads_end_even_if_the_end_fails(
         with pytest.raises(ZeroDivisionError):
             work.session.finish(bpy.context)
     assert threads_end(), session_threads()
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
     work.session.finish(context)
 
 
@@ -416,4 +416,4 @@ def test_a_session_that_cannot_start_leaves_no_thread(
     with pytest.raises(RuntimeError, match="no wheels"):
         SculptSession(bpy.context)
     assert threads_end(), session_threads()
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
