@@ -93,7 +93,7 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
         ``frame_start`` and ``frame_end``, and the number of ``objects`` and ``bytes`` packed.
 
     Raises:
-        PackError: There is no clay or no bake, the bake is of different clay, or a frame is missing.
+        PackError: There is no clay or no bake, it is of different clay, or a frame is missing.
         CacheError: The cache cannot be read.
     """
     clay = clay_objects(scene)
