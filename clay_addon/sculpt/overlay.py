@@ -97,8 +97,8 @@ class BrushOverlay:
             gpu.state.blend_set("ALPHA")
             drawn = brush.drawn()
             self._forget_batches([mesh for mesh, _, _ in drawn])
-            for mesh, pose, felt in drawn:
-                self._draw_mesh(mesh, pose, view_matrix, scale, _TOUCHING if felt else _HOVERING)
+            for mesh, pose, enabled in drawn:
+                self._draw_mesh(mesh, pose, view_matrix, scale, _TOUCHING if enabled else _HOVERING)
             if brush.cursor is not None:
                 _draw_ring(brush, scale)
         finally:

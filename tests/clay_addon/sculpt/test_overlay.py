@@ -38,8 +38,8 @@ def test_tools_are_drawn_at_their_poses(mouse: Mouse) -> None:
     mouse.move(0.0, 0.0)
     assert mouse.brush.drawn() == []
     (poses,) = mouse.ticks(1)
-    ((_, pose, felt),) = mouse.brush.drawn()
-    assert pose is poses[0][0] and not felt
+    ((_, pose, enabled),) = mouse.brush.drawn()
+    assert pose is poses[0][0] and not enabled
     mouse.source.set(tool="WIRE", mirror=(True, False, False))
     (poses,) = mouse.ticks(1)
     assert len(poses) == 4

@@ -34,9 +34,9 @@ class Bench:
         """Simulate some ticks of a session."""
         for _ in range(count):
             poses = self.mouse.brush.poses(TICK, self.mouse.clay)
-            for collider, (pose, felt) in zip(self.colliders, poses, strict=True):
+            for collider, (pose, enabled) in zip(self.colliders, poses, strict=True):
                 collider.set_pose(pose)
-                collider.set_enabled(felt)
+                collider.set_enabled(enabled)
             self.solver.step(TICK)
             self.mouse.clay = self.solver.positions()
 
