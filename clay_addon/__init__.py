@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All that is Blender: operators, panel, properties, bake, playback and the command line.
+"""The Blender side: operators, panels, properties, bake, playback and the command line.
 
-Importing and registering this package imports no Warp: that is loaded with the first clay.
+Importing and registering this package does not import Warp, which loads with the first clay.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ _MODULES = (
     "sculpt.panel",
     "sculpt.keymaps",
 )
-"""Submodules with a `register` and an `unregister`, in the order of registering."""
+"""Submodules that have `register` and `unregister`, in registration order."""
 
 _registered: list[str] = []
 
@@ -62,7 +62,7 @@ __all__ = ["register", "unregister"]
 def register() -> None:
     """Register every part with Blender; a second call does nothing.
 
-    If a part fails, those before it are taken back, so that nothing half-registered stays.
+    If one part fails, the parts registered before it are unregistered again.
     """
     if _registered:
         return
@@ -76,6 +76,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take back all that `register` did; a second call does nothing."""
+    """Undo everything `register` did; a second call does nothing."""
     while _registered:
         importlib.import_module(f".{_registered.pop()}", __package__).unregister()

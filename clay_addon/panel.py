@@ -23,11 +23,13 @@ from .model.user_materials import user_material_folder, user_materials
 from .playback import playback
 from .playback.packed import is_packed
 
-_GLANCE_SECONDS = 1.0
-"""The state of the cache is looked at no more often than this [s]: a panel is drawn constantly."""
+_REFRESH_SECONDS = 1.0
+"""How long a looked-up state is kept [s]: Blender redraws panels constantly."""
 
-_glance: dict[str, tuple[float, str, str]] = {}
-_hand_glance: dict[str, tuple[float, str]] = {}
+_cache_states: dict[str, tuple[float, str, str]] = {}
+"""For each scene: time of the lookup, state, warning."""
+_hand_states: dict[str, tuple[float, str]] = {}
+"""For each hand: time of the lookup, message."""
 
 
 class _ClayPanel:
@@ -37,7 +39,7 @@ class _ClayPanel:
 
 
 class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
-    """Making clay, and what it is made of."""
+    """Make clay and set its material."""
 
     bl_label = "Clay"
     bl_order = 0
@@ -62,7 +64,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
                 draw_text(box, problem, icon="ERROR")
             folder = str(user_material_folder())
             box.operator("wm.path_open", text="Open Folder", icon="FILE_FOLDER").filepath = folder
-        # Convert turns clay into a mesh and leaves its role.
+        # Object > Convert turns clay into a mesh but keeps its role.
         if item is None or item.tactile_clay.role != "CLAY" or item.type != "POINTCLOUD":
             if not clay_objects(scene):
                 draw_text(layout, "Select one or more closed meshes, then Make Clay.", icon="INFO")
@@ -76,7 +78,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
             else f"{len(item.data.points):,} particles"
         )
         row = box.row(align=True)
-        # Without its label there is room for the name.
+        # No label, to leave room for the name.
         row.prop(clay, "material_preset", text="")
         row.operator("clay.material_save", text="", icon="ADD")
         row.operator("clay.material_remove", text="", icon="REMOVE")
@@ -84,7 +86,7 @@ class CLAY_PT_clay(_ClayPanel, bpy.types.Panel):  # noqa: N801
 
 
 class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
-    """What presses on the clay."""
+    """Objects that press on the clay."""
 
     bl_label = "Colliders"
     bl_order = 2
@@ -107,7 +109,7 @@ class CLAY_PT_colliders(_ClayPanel, bpy.types.Panel):  # noqa: N801
             box.prop(item.tactile_clay, "collider_enabled")
             box.prop(item.tactile_clay, "collider_friction")
             box.prop(item.tactile_clay, "collider_adhesion")
-            # Decorated, as a pedal is there to be keyed.
+            # Decorated: wheel speed is meant to be keyframed.
             box.use_property_decorate = True
             box.prop(item.tactile_clay, "wheel_speed")
 
@@ -130,7 +132,7 @@ class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
             message = hand_state(context.scene, hand)
             if message:
                 draw_text(layout.box(), message, icon="ERROR")
-            # Whoever poses a hand has its armature active.
+            # While a hand is posed, its armature is the active object.
             if context.object is not None and context.object in (hand, hand.find_armature()):
                 box = layout.box()
                 box.use_property_split = True
@@ -139,7 +141,7 @@ class CLAY_PT_hands(_ClayPanel, bpy.types.Panel):  # noqa: N801
 
 
 class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
-    """The bake: its range, its folder, its state."""
+    """Frame range, cache folder and state of the bake."""
 
     bl_label = "Bake"
     bl_order = 6
@@ -167,7 +169,7 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
                 factor=running.done / max(1, running.total),
                 text=f"Frame {running.frame}: {duration_text(running.seconds_left)} left",
             )
-            layout.label(text="Esc stops; what is baked is kept", icon="INFO")
+            layout.label(text="Esc stops; baked frames are kept", icon="INFO")
             return
         row = layout.row(align=True)
         row.operator("clay.bake", icon="PHYSICS")
@@ -191,14 +193,14 @@ class CLAY_PT_bake(_ClayPanel, bpy.types.Panel):  # noqa: N801
 
 
 class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
-    """Taking the shape out of Blender."""
+    """Export the shape of the clay."""
 
     bl_label = "Export"
     bl_order = 8
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only once there is clay to export."""
+        """Show the panel only if there is clay to export."""
         return bool(clay_objects(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -207,19 +209,19 @@ class CLAY_PT_export(_ClayPanel, bpy.types.Panel):  # noqa: N801
 
 
 def hand_state(scene: bpy.types.Scene, hand: bpy.types.Object) -> str:
-    """What is wrong with a hand, in words; looked up once a second."""
-    known = _hand_glance.get(hand.name_full)
-    if known is not None and time.monotonic() - known[0] < _GLANCE_SECONDS:
+    """What is wrong with a hand, as text; empty if nothing is. Looked up once a second."""
+    known = _hand_states.get(hand.name_full)
+    if known is not None and time.monotonic() - known[0] < _REFRESH_SECONDS:
         return known[1]
     message = hand_message(scene, hand)
-    _hand_glance[hand.name_full] = (time.monotonic(), message)
+    _hand_states[hand.name_full] = (time.monotonic(), message)
     return message
 
 
 def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
-    """What the cache holds, and what is wrong with it, in words; looked up once a second."""
-    known = _glance.get(scene.name)
-    if known is not None and time.monotonic() - known[0] < _GLANCE_SECONDS:
+    """What the cache holds and a warning, as text; looked up once a second."""
+    known = _cache_states.get(scene.name)
+    if known is not None and time.monotonic() - known[0] < _REFRESH_SECONDS:
         return known[1], known[2]
     frames = cache.frames()
     warning = ""
@@ -232,20 +234,18 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
             f"{len(inside)} of {end + 1 - start} frames baked, {size_text(cache.size())} on disk."
         )
         try:
-            # Colliders are not looked at: evaluating them takes too long for a panel.
+            # Colliders are not compared: evaluating them takes too long for a panel.
             meta = cache.meta()
             if meta.is_take:
                 state = f"A recorded take of {len(frames)} frames, {size_text(cache.size())}."
             changed = changed_subjects(meta, scene_digests(scene))
             if changed:
-                warning = (
-                    f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."
-                )
+                warning = f"The bake is stale. Changed since: {', '.join(changed)}. Bake again."
         except CacheError as error:
             warning = f"The cache cannot be used: {error}. Bake again."
         except SimulationError as error:
             warning = str(error)
-    _glance[scene.name] = (time.monotonic(), state, warning)
+    _cache_states[scene.name] = (time.monotonic(), state, warning)
     return state, warning
 
 
@@ -262,5 +262,5 @@ def unregister() -> None:
     """Unregister the panels."""
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)
-    _glance.clear()
-    _hand_glance.clear()
+    _cache_states.clear()
+    _hand_states.clear()

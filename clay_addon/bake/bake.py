@@ -181,7 +181,7 @@ def bake_steps(
     except BusyError as error:
         raise BakeError(str(error)) from error
     frames = _bake_frames(context, start, end, directory, resume, device, replace_other)
-    return (yield from clay_activity.through(ActivityKind.BAKE, frames))
+    return (yield from clay_activity.run_steps(ActivityKind.BAKE, frames))
 
 
 def _bake_frames(

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What every room of the add-on uses of Blender: preferences, handlers, meshes, keyframes."""
+"""Blender basics shared by the whole add-on: preferences, handlers, meshes, keyframes."""

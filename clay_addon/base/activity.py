@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who holds the clay: a bake, a delivery or a sculpting session, one at a time.
+"""Which activity holds the clay: a bake, a delivery or a sculpting session, one at a time.
 
-All three change the clay, or the frame that it is shown at, over many seconds. Each takes hold of
-it here before it begins and lets go when it ends, so that none needs to know the others.
+All three change the clay or the current frame over many seconds. Each acquires the clay here
+before it begins and releases it when it ends, so none needs to know about the others.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _logger = logging.getLogger(__name__)
 
 
 class ActivityKind(Enum):
-    """What can hold the clay; the value says how to end it."""
+    """Activities that can hold the clay; the value tells the user how to end them."""
 
     BAKE = "A bake is running. Press Esc to stop it first."
     DELIVERY = "A delivery is running. Press Esc to stop it first."
@@ -27,23 +27,23 @@ class ActivityKind(Enum):
 
 
 class Progress(Protocol):
-    """How far an activity is."""
+    """Progress of an activity."""
 
     @property
     def frame(self) -> int:
-        """The frame it is at."""
+        """Current frame."""
 
     @property
     def done(self) -> int:
-        """Frames that are done."""
+        """Number of frames done."""
 
     @property
     def total(self) -> int:
-        """Frames in all."""
+        """Total number of frames."""
 
     @property
     def seconds_left(self) -> float | None:
-        """How long it will still take [s], once that can be told."""
+        """Estimated time left [s]; None until it can be estimated."""
 
 
 _Step = TypeVar("_Step", bound=Progress)
@@ -52,41 +52,41 @@ _Result = TypeVar("_Result")
 
 
 class BusyError(TactileClayError):
-    """Something else holds the clay; the message says what, and how to end it."""
+    """Another activity holds the clay; the message says which, and how to end it."""
 
 
 class ClayActivity:
-    """What holds the clay now."""
+    """The activity that holds the clay, if any."""
 
     def __init__(self) -> None:
         self.kind: ActivityKind | None = None
-        """What holds it; None while nothing does."""
+        """The activity; None if the clay is free."""
         self.progress: Progress | None = None
         """How far that is, where it goes frame by frame."""
         self.pace = 1.0
         """Simulated time over real time while clay is worked live; 1 otherwise."""
 
     def check_free(self) -> None:
-        """Refuse while something holds the clay.
+        """Check that nothing holds the clay.
 
         Raises:
-            BusyError: Something does.
+            BusyError: An activity holds it.
         """
         if self.kind is not None:
             raise BusyError(self.kind.value)
 
     def begin(self, kind: ActivityKind) -> None:
-        """Take hold of the clay, until `end`.
+        """Acquire the clay, until `end`.
 
         Raises:
-            BusyError: Something else holds it.
+            BusyError: Another activity holds it.
         """
         self.check_free()
         self.kind, self.progress = kind, None
         _logger.info("%s begins", kind.name.capitalize())
 
     def end(self) -> None:
-        """Let go of the clay; nothing where nothing holds it."""
+        """Release the clay; does nothing if it is free."""
         if self.kind is not None:
             _logger.info("%s ends", self.kind.name.capitalize())
         self.kind = self.progress = None
@@ -94,10 +94,10 @@ class ClayActivity:
 
     @contextmanager
     def held(self, kind: ActivityKind) -> Iterator[None]:
-        """Hold the clay inside the context.
+        """Hold the clay within the context.
 
         Raises:
-            BusyError: Something else holds it.
+            BusyError: Another activity holds it.
         """
         self.begin(kind)
         try:
@@ -105,17 +105,17 @@ class ClayActivity:
         finally:
             self.end()
 
-    def through(
+    def run_steps(
         self, kind: ActivityKind, steps: Generator[_Step, _Sent, _Result]
     ) -> Generator[_Step, _Sent, _Result]:
-        """Go through the steps of a work that holds the clay, and keep how far it is.
+        """Hold the clay while running a generator's steps, and keep its progress.
 
         Args:
-            kind: What the work is.
-            steps: The work; closed with this, whichever way it ends.
+            kind: The activity.
+            steps: Yields progress; closed when this generator ends, however it ends.
 
         Raises:
-            BusyError: Something else holds the clay.
+            BusyError: Another activity holds the clay.
         """
         with closing(steps), self.held(kind):
             try:
@@ -129,14 +129,14 @@ class ClayActivity:
 
 
 clay_activity = ClayActivity()
-"""What holds the clay in this Blender."""
+"""The one instance of this Blender process."""
 
 
 def register() -> None:
-    """Nothing holds the clay yet."""
+    """Start with the clay free."""
     clay_activity.end()
 
 
 def unregister() -> None:
-    """Forget what Blender ended with the add-on."""
+    """Release the clay: Blender ends any activity along with the add-on."""
     clay_activity.end()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Functions that Blender calls, each registered once, and redrawing its 3D views."""
+"""Registering application handlers, redrawing the 3D views and drawing over them."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Any
 import bpy
 
 Handlers = Sequence[tuple[str, Callable[..., Any]]]
-"""Names of lists in ``bpy.app.handlers``, and what goes into them."""
+"""Names of lists in ``bpy.app.handlers``, each with a function to add to it."""
 
 
 def add_handlers(handlers: Handlers) -> None:
-    """Let Blender call functions; one that is there already stays as it is."""
+    """Register functions with Blender; those already registered are not added again."""
     for name, handler in handlers:
         known = getattr(bpy.app.handlers, name)
         if handler not in known:
@@ -21,7 +21,7 @@ def add_handlers(handlers: Handlers) -> None:
 
 
 def remove_handlers(handlers: Handlers) -> None:
-    """Let Blender call them no more."""
+    """Unregister functions; those not registered are ignored."""
     for name, handler in handlers:
         known = getattr(bpy.app.handlers, name)
         if handler in known:
@@ -49,18 +49,18 @@ class ViewDrawing:
 
     @property
     def active(self) -> bool:
-        """Whether it draws."""
+        """Whether it is drawing."""
         return self._handle is not None
 
     def start(self) -> None:
-        """Begin; a second call does nothing, and so does one in the background."""
+        """Start drawing; does nothing if it is active, or if Blender runs in the background."""
         if not self.active and not bpy.app.background:
             self._handle = bpy.types.SpaceView3D.draw_handler_add(
                 self._draw, (), "WINDOW", "POST_VIEW"
             )
 
     def stop(self) -> None:
-        """End; a second call does nothing."""
+        """Stop drawing; a second call does nothing."""
         if self.active:
             bpy.types.SpaceView3D.draw_handler_remove(self._handle, "WINDOW")
             self._handle = None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keyframes written many at a time, a new action for each object."""
+"""Writing keyframes in bulk, as a new action for each object."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONSTANT, LINEAR = 0, 1
-"""How values are interpolated from one key to the next, as Blender numbers it."""
+"""Blender's integer codes for the interpolation between two keyframes."""
 
 
 @dataclass(frozen=True)
@@ -20,26 +20,26 @@ class Channel:
     """One animated number of an object."""
 
     path: str
-    """From the object, as Blender's data paths are."""
+    """Blender data path, relative to the object."""
     index: int
-    """Which number of a vector or quaternion; 0 otherwise."""
+    """Component of a vector or quaternion; 0 otherwise."""
     frames: NDArray[Any]
-    """Of the keys, ascending, also between whole frames, shape [K]."""
+    """Frames of the keys, ascending, not necessarily whole, shape [K]."""
     values: NDArray[Any]
-    """At the keys, shape [K]."""
+    """Values at the keys, shape [K]."""
     interpolation: int = LINEAR
     """`LINEAR` or `CONSTANT`."""
     group: str = ""
-    """What the channel is listed under, such as its bone."""
+    """Name of the channel group, such as the bone."""
 
 
 def write_channels(item: bpy.types.ID, name: str, channels: Sequence[Channel]) -> None:
-    """Give an object a new action with some channels; the one it had stays in the file.
+    """Give an object a new action with some channels; its previous action stays in the file.
 
     Args:
-        item: The object, or another datablock that can be animated.
-        name: Of the action.
-        channels: At least one key each.
+        item: The object, or another data-block that can be animated.
+        name: Name of the action.
+        channels: The channels, with at least one key each.
     """
     animation = item.animation_data or item.animation_data_create()
     if animation.action is not None:
@@ -65,7 +65,7 @@ def write_channels(item: bpy.types.ID, name: str, channels: Sequence[Channel]) -
 
 
 def find_curve(item: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
-    """The first curve of a property in an object's own action; None where it has no keys."""
+    """The first F-curve of a property in an object's own action; None if it has no keys."""
     animation = item.animation_data
     if animation is None or animation.action is None or animation.action_slot is None:
         return None
@@ -78,8 +78,8 @@ def find_curve(item: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
     return None
 
 
-def needed(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Which keys say something: not those between two of the same value, shape [K]."""
+def significant_keys(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Mask of the keys to keep, shape [K]; drops keys whose two neighbors have the same value."""
     same = values[1:] == values[:-1]
     kept = np.ones(len(values), bool)
     kept[1:-1] = ~(same[:-1] & same[1:])

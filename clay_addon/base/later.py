@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Work that waits until Blender has finished what it is in the middle of.
+"""Deferred work: functions to call once Blender has finished what it is doing.
 
-Inside its handlers for undo, redo and loading, Blender is still putting the file together: view
-layers may point at objects that are gone, and making or removing data there aborts Blender. Such a
-handler asks here instead, and the work is done by the next timer, or by whoever needs its result
-first and calls `run`.
+Inside the handlers for undo, redo and loading, Blender is still assembling the file: view layers
+may point at deleted objects, and creating or removing data crashes Blender. Such a handler
+schedules its work here. The next timer does it, or earlier code that needs the result calls `run`.
 """
 
 from __future__ import annotations
@@ -18,29 +17,29 @@ _logger = logging.getLogger(__name__)
 
 
 class Later:
-    """Work that was asked for and has not been done."""
+    """A queue of deferred work."""
 
     def __init__(self) -> None:
         self._due: dict[Callable[[], object], None] = {}
 
-    def ask(self, work: Callable[[], object]) -> None:
-        """Have work done soon, once however often it is asked for meanwhile.
+    def schedule(self, work: Callable[[], object]) -> None:
+        """Schedule a function to be called soon, once however often it is scheduled until then.
 
-        Without an interface there are no timers and no view layers on the screen: it is done now.
+        Without an interface there are no timers and no displayed view layers: it is called now.
 
         Args:
-            work: The same function at each call.
+            work: The function; must be the same object at each call.
         """
         if bpy.app.background:
             work()
             return
         self._due[work] = None
         if not bpy.app.timers.is_registered(_run):
-            # A file that is loaded before the timer comes must not take the work away.
+            # Persistent: loading a file before the timer fires must not cancel the work.
             bpy.app.timers.register(_run, first_interval=0.0, persistent=True)
 
     def run(self) -> None:
-        """Do everything that is due; what fails is logged, and the rest is still done."""
+        """Do all scheduled work; failures are logged and do not stop the rest."""
         while self._due:
             work = next(iter(self._due))
             del self._due[work]
@@ -50,14 +49,14 @@ class Later:
                 _logger.exception("%s failed", getattr(work, "__qualname__", work))
 
     def forget(self) -> None:
-        """Drop everything that is due."""
+        """Cancel all scheduled work."""
         self._due.clear()
         if bpy.app.timers.is_registered(_run):
             bpy.app.timers.unregister(_run)
 
 
 later = Later()
-"""The work that waits in this Blender."""
+"""The queue of this Blender process."""
 
 
 def _run() -> None:
@@ -65,9 +64,9 @@ def _run() -> None:
 
 
 def register() -> None:
-    """Nothing waits yet."""
+    """Nothing to register: work is scheduled on demand."""
 
 
 def unregister() -> None:
-    """Drop what waits: it belongs to the add-on."""
+    """Cancel scheduled work: it belongs to the add-on."""
     later.forget()

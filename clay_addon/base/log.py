@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on's log: what its parts report with `logging`, for a person to attach to a bug report.
+"""The add-on's log file, which users can attach to a bug report.
 
 Every module of the package logs under its own name, below the logger of the package. While the
-add-on is registered, their messages go to a file in Blender's folder for temporary files, which
-outlives a crash, and *Preferences > Save Log* copies them with what the computer is. Warnings are
-also printed to the console, as everything in Blender is.
+add-on is registered, messages go to a file in Blender's temporary folder, which survives a crash.
+*Preferences > Save Log* copies them together with a description of the system. Warnings are also
+printed to the console.
 """
 
 import importlib.metadata
@@ -22,26 +22,26 @@ from ..core.storage.whole_files import replace_text
 from .preferences import ADDON, ADDON_VERSION, device_choice
 
 MAX_BYTES = 1_000_000
-"""Size at which the file is put aside and a new one begun; one that was put aside is kept."""
+"""Size at which the log file is rotated; one old file is kept."""
 PACKAGES = ("numpy", "warp-lang", "trimesh", "pysplashsurf", "pyserial", "pyusb", "websockets")
-"""Packages whose versions a saved log names."""
+"""Packages whose versions a saved log lists."""
 _FORMAT = "%(asctime)s %(levelname)-7s %(threadName)s %(name)s: %(message)s"
 
 _logger = logging.getLogger(ADDON)
 
 
 class LogFile:
-    """The file that the package's messages go to, from `open` to `close`."""
+    """Receives the package's log messages between `open` and `close`."""
 
     def __init__(self) -> None:
         self._handler: logging.Handler | None = None
         self.path = Path()
-        """Where the messages are; meaningful while it is open."""
+        """The log file; meaningful while it is open."""
 
     def open(self) -> None:
-        """Begin to write; a second call does nothing.
+        """Start logging; a second call does nothing.
 
-        A folder that cannot be written to costs the log, never the add-on.
+        If the folder is not writable there is no log, but the add-on still works.
         """
         if self._handler is not None:
             return
@@ -59,14 +59,14 @@ class LogFile:
         self._handler = handler
 
     def close(self) -> None:
-        """Stop writing; the file stays until Blender empties its temporary folder."""
+        """Stop logging; the file stays until Blender empties its temporary folder."""
         if self._handler is not None:
             _logger.removeHandler(self._handler)
             self._handler.close()
             self._handler = None
 
     def text(self) -> str:
-        """Everything that was logged since Blender started, oldest first, as far as it is kept."""
+        """The messages since Blender started, oldest first, except those rotated away."""
         if self._handler is not None:
             self._handler.flush()
         parts = []
@@ -77,11 +77,11 @@ class LogFile:
 
 
 log_file = LogFile()
-"""The log of this Blender."""
+"""The log of this Blender process."""
 
 
-def computer() -> str:
-    """What a bug report needs to know about the installation, a line each."""
+def system_information() -> str:
+    """What a bug report needs to say about the installation, one fact per line."""
     lines = [
         f"Tactile Clay {ADDON_VERSION} as {ADDON}",
         f"Blender {bpy.app.version_string} ({bpy.app.build_platform.decode()})"
@@ -98,7 +98,7 @@ def computer() -> str:
 
 
 class CLAY_OT_log_save(bpy.types.Operator, ExportHelper):  # noqa: N801
-    """Save what the add-on reported since Blender started, to attach to a bug report"""
+    """Save the add-on's messages since Blender started, to attach to a bug report"""
 
     bl_idname = "clay.log_save"
     bl_label = "Save Log"
@@ -110,7 +110,7 @@ class CLAY_OT_log_save(bpy.types.Operator, ExportHelper):  # noqa: N801
         """Write the file."""
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            replace_text(path, f"{computer()}\n\n{log_file.text()}")
+            replace_text(path, f"{system_information()}\n\n{log_file.text()}")
         except OSError as error:
             self.report({"ERROR"}, f"The log could not be saved: {error}")
             return {"CANCELLED"}
@@ -118,20 +118,20 @@ class CLAY_OT_log_save(bpy.types.Operator, ExportHelper):  # noqa: N801
         return {"FINISHED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask where to."""
+        """Open the file browser."""
         self.filepath = "tactile_clay_log.txt"
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
 
 def register() -> None:
-    """Begin the log, and register the operator."""
+    """Register the operator and start the log."""
     bpy.utils.register_class(CLAY_OT_log_save)
     log_file.open()
     _logger.info("Registered: version %s, Blender %s", ADDON_VERSION, bpy.app.version_string)
 
 
 def unregister() -> None:
-    """End the log, and unregister the operator."""
+    """Stop the log and unregister the operator."""
     log_file.close()
     bpy.utils.unregister_class(CLAY_OT_log_save)

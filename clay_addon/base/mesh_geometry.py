@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Triangles of an evaluated Blender mesh, as numpy arrays."""
+"""Evaluated Blender meshes as numpy arrays, and their transforms."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SWITCHED_OFF = (
 
 
 def is_switched_off(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
-    """Whether Blender leaves an object as it is in the file: unanimated and without modifiers."""
+    """Whether Blender does not evaluate an object, that is, its animation and modifiers."""
     return not item.evaluated_get(depsgraph).is_evaluated
 
 
@@ -34,11 +34,11 @@ def evaluated_mesh(
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices and triangles of a mesh object with its modifiers applied.
 
-    What its geometry nodes instance is part of it, as it is of what one sees.
+    Includes instances made by its geometry nodes, as they are visible too.
 
     Args:
         item: A mesh object.
-        depsgraph: The evaluated state to take it from.
+        depsgraph: The evaluated dependency graph.
 
     Returns:
         Vertices in the object's coordinates [Blender units], shape [V, 3], and triangles, shape
@@ -76,7 +76,7 @@ def _mesh_arrays(
 def _instances(
     item: bpy.types.Object, evaluated: bpy.types.Object, depsgraph: bpy.types.Depsgraph
 ) -> list[tuple[NDArray[np.float64], NDArray[np.int32]]]:
-    """The meshes that an object instances, in its own coordinates."""
+    """The meshes that an object instances, in the object's coordinates."""
     meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int32]]] = {}
     parts = []
     from_world = evaluated.matrix_world.inverted_safe()
@@ -90,12 +90,12 @@ def _instances(
             meshes[key] = _mesh_arrays(instance.object)
         vertices, triangles = meshes[key]
         matrix = from_world @ instance.matrix_world
-        parts.append((transform(matrix, vertices), turn_for(matrix, triangles)))
+        parts.append((transform(matrix, vertices), oriented_triangles(matrix, triangles)))
     return parts
 
 
 def transform(matrix: object, points: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Points moved by a 4×4 matrix, shape [N, 3]."""
+    """Points transformed by a 4×4 matrix, shape [N, 3]."""
     # By columns: numpy's product of a long array with a 3×3 matrix takes twenty times as long.
     x, y, z = np.ascontiguousarray(np.asarray(points).T, np.float64)
     moved = np.empty((len(x), 3))
@@ -133,19 +133,18 @@ def local_from_world(
         depsgraph: See `world_matrix`.
 
     Raises:
-        ValueError: The object's transform cannot be undone.
+        ValueError: The object's transform is not invertible.
     """
     matrix = world_matrix(item, depsgraph)
     if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix[:3, :3]) < 3:
         raise ValueError(
-            f"{item.name!r} is scaled to nothing or its transform is not finite. Clear its "
-            "transform"
+            f"{item.name!r} is scaled to zero or its transform is not finite. Clear its transform"
         )
     return np.linalg.inv(matrix)
 
 
-def turn_for(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The triangles, wound the other way round where the matrix mirrors."""
+def oriented_triangles(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The triangles, with reversed winding if the matrix mirrors."""
     if np.linalg.det(np.asarray(matrix, np.float64)[:3, :3]) < 0:
         return np.ascontiguousarray(triangles[:, ::-1])
     return triangles
@@ -154,9 +153,9 @@ def turn_for(matrix: object, triangles: NDArray[np.int32]) -> NDArray[np.int32]:
 def flat_plane(
     vertices: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Point and unit normal of the plane that all vertices lie in; None if they don't.
+    """Point and unit normal of the plane through all vertices; None if they are not coplanar.
 
-    A line or a point lies in no particular plane, so it gives None too.
+    Also None if all vertices lie on a line or in a point, where the plane is not unique.
     """
     if len(vertices) < 3 or not np.isfinite(vertices).all():
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that do a long work in steps: with progress and Esc in a window, else to the end."""
+"""Long-running operators that work in steps: modal with progress and Esc, or blocking."""
 
 from __future__ import annotations
 
@@ -16,47 +16,47 @@ from .app_handlers import redraw_views
 _Step = TypeVar("_Step", bound=Progress)
 _Result = TypeVar("_Result")
 _TICK = 0.01
-"""Pause between two steps in a window [s]."""
+"""Timer interval between steps in a window [s]."""
 
 _logger = logging.getLogger(__name__)
 
 
 class SteppedOperator(Generic[_Step, _Result]):
-    """What an operator that works in steps inherits beside Blender's own class.
+    """Mix-in for a `bpy.types.Operator` that works in steps.
 
-    Blender makes the operator; it has no constructor.
+    It has no constructor, as Blender creates operators itself.
     """
 
     report: Any
     stopped_text = "Stopped."
-    """What is reported after Esc."""
+    """Reported after Esc."""
     _steps: Generator[_Step, Any, _Result] | None = None
     _timer: bpy.types.Timer | None = None
 
     def begin(self, context: bpy.types.Context) -> Generator[_Step, Any, _Result]:
-        """The steps; closing them stops the work where it is.
+        """Return a generator of steps; closing it stops the work.
 
         Raises:
-            TactileClayError: The work cannot begin; so may the first step.
+            TactileClayError: The work cannot begin; the first step may raise this too.
         """
         raise NotImplementedError
 
     def status(self, step: _Step) -> str:
-        """What the status bar says after a step."""
+        """Text of the status bar after a step."""
         raise NotImplementedError
 
     def stepped(self, context: bpy.types.Context) -> None:
-        """Show what a step has changed."""
+        """Called after each step in a window, to update what is shown."""
 
     def ended(self, context: bpy.types.Context) -> None:
-        """Show how things are now that the work has ended, whichever way."""
+        """Called when work in a window ends, whether it finished, failed or was stopped."""
 
     def report_result(self, result: _Result) -> None:
-        """Report what was done."""
+        """Report the result."""
         raise NotImplementedError
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Work without a window: to the end, or to an error."""
+        """Work without a window, until done or an error."""
         try:
             steps = self.begin(context)
             while True:
@@ -69,7 +69,7 @@ class SteppedOperator(Generic[_Step, _Result]):
             return {"CANCELLED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Work in a window, a step at a time."""
+        """Work in a window, one step per timer event."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
@@ -80,7 +80,7 @@ class SteppedOperator(Generic[_Step, _Result]):
         manager = context.window_manager
         manager.progress_begin(0, 100)
         self._timer = manager.event_timer_add(_TICK, window=context.window)
-        # The first step checks everything; an error in it ends the operator at once.
+        # The first step checks all inputs; an error in it ends the operator immediately.
         done = self._advance(context)
         if done is not None:
             return done
@@ -88,7 +88,7 @@ class SteppedOperator(Generic[_Step, _Result]):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Do one step at each tick; Esc stops."""
+        """Do one step per timer event; Esc stops."""
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
             return {"CANCELLED"}
@@ -97,7 +97,7 @@ class SteppedOperator(Generic[_Step, _Result]):
         return self._advance(context) or {"RUNNING_MODAL"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """Stop, also when Blender ends the operator."""
+        """Stop on Esc, or when Blender cancels the operator."""
         try:
             if self._steps is not None:
                 self._steps.close()
@@ -109,7 +109,7 @@ class SteppedOperator(Generic[_Step, _Result]):
             self._finish(context)
 
     def _advance(self, context: bpy.types.Context) -> set[str] | None:
-        """Do a step; returns how the operator ends, None while it goes on."""
+        """Do one step; returns the operator's result, or None if there are more steps."""
         assert self._steps is not None
         try:
             step = next(self._steps)

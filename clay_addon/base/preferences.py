@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The add-on's preferences: the device to compute on, and what is missing from the installation."""
+"""The add-on's preferences, and notices about missing parts of the installation."""
 
 import importlib.util
 import tomllib
@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 
 ADDON = (__package__ or "").removesuffix(".clay_addon.base")
-"""The name Blender knows the add-on by."""
+"""The add-on's module name in Blender."""
 
 ADDON_VERSION: str = tomllib.loads(
     (Path(__file__).parents[2] / "blender_manifest.toml").read_text(encoding="utf-8")
@@ -17,7 +17,7 @@ ADDON_VERSION: str = tomllib.loads(
 
 
 def missing_parts() -> list[str]:
-    """What the installation lacks, each as a sentence that says what to do; mostly empty."""
+    """A message for each missing part of the installation, saying what to do; usually empty."""
     missing = []
     try:
         found = importlib.util.find_spec("warp") is not None
@@ -26,7 +26,7 @@ def missing_parts() -> list[str]:
     if not found:
         missing.append(
             "NVIDIA Warp is missing: clay cannot be made or baked. Install the extension from its "
-            "zip for this platform, which brings Warp along, or add the package warp-lang to this "
+            "zip for this platform, which includes Warp, or add the package warp-lang to this "
             "Python, then restart Blender."
         )
     return missing
@@ -42,7 +42,7 @@ class ClayPreferences(bpy.types.AddonPreferences):
         description="Where the clay is simulated",
         items=(
             ("auto", "Automatic", "The first CUDA graphics card if there is one, else the CPU"),
-            ("cpu", "CPU", "The processor: works everywhere"),
+            ("cpu", "CPU", "The processor; works on every computer"),
             ("cuda:0", "CUDA", "The first NVIDIA graphics card"),
         ),
         default="auto",
@@ -58,7 +58,7 @@ class ClayPreferences(bpy.types.AddonPreferences):
 
 
 def draw_missing_parts(layout: bpy.types.UILayout) -> bool:
-    """Draw a notice if the installation lacks something, and return whether it does."""
+    """Draw a notice for each missing part of the installation; returns whether any is missing."""
     missing = missing_parts()
     for sentence in missing:
         box = layout.box()
@@ -67,10 +67,10 @@ def draw_missing_parts(layout: bpy.types.UILayout) -> bool:
 
 
 def draw_text(layout: bpy.types.UILayout, text: str, *, icon: str = "NONE") -> None:
-    """Draw a text over as many lines as the region's width asks for: labels do not wrap."""
+    """Draw a text wrapped to the region's width, as Blender's labels do not wrap."""
     region = bpy.context.region
     pixels = region.width / bpy.context.preferences.system.ui_scale if region else 260
-    # A letter takes 6.6 pixels on average, the margins and the icon 70.
+    # A letter is 6.6 pixels wide on average; margins and icon take 70.
     width = max(12, int((pixels - 70) / 6.6))
     column = layout.column(align=True)
     line = ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fill a Blender mesh with a surface of clay, fast enough for every redraw."""
+"""Writing the clay's surface into a Blender mesh, fast enough for every redraw."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 COLOR_ATTRIBUTE = "Color"
 """Not "color": Cycles reads an attribute of that name as black."""
 TEXTURE_ATTRIBUTE = "clay_texture"
-"""Positions in units of the particle distance: the grain of the clay is as fine as its detail."""
+"""Positions in units of the particle spacing, so that the clay's grain scales with its detail."""
 SPACING_ATTRIBUTE = "clay_spacing"
-"""The particle distance [Blender units]: the depth of the grain goes with it."""
+"""The particle spacing [Blender units], which sets the depth of the grain."""
 
 
 def fill_surface_mesh(
@@ -25,22 +25,22 @@ def fill_surface_mesh(
     edges: NDArray[np.integer] | None = None,
     face_edges: NDArray[np.integer] | None = None,
 ) -> None:
-    """Replace the geometry of a mesh by a smooth-shaded surface; its materials stay.
+    """Replace the geometry of a mesh with a smooth-shaded surface; its materials stay.
 
     Args:
         mesh: The mesh.
         vertices: Vertex positions [Blender units], shape [V, 3].
-        faces: Vertices of the faces, which all have K corners, shape [F, K].
+        faces: Vertex indices of the faces, which all have K corners, shape [F, K].
         spacing: Distance between particles [Blender units], for the grain of the material.
         colors: Linear RGBA of the vertices, shape [V, 4].
-        edges: Vertices of each edge, shape [E, 2]; told from the faces where not given.
+        edges: Vertex indices of each edge, shape [E, 2]; derived from the faces by default.
         face_edges: Edge from each corner of a face to the next, shape [F, K]; goes with `edges`.
     """
     mesh.clear_geometry()
     mesh.vertices.add(len(vertices))
     mesh.loops.add(faces.size)
     mesh.polygons.add(len(faces))
-    # Through attributes: `loops.foreach_set` takes several hundred times as long.
+    # Through attributes, as `loops.foreach_set` is several hundred times slower.
     _write(mesh, "position", "FLOAT_VECTOR", "POINT", vertices)
     _write(mesh, ".corner_vert", "INT", "CORNER", faces)
     starts = np.arange(0, faces.size, faces.shape[1], dtype=np.int32)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender units and meters: the one place that knows how long a Blender unit is.
+"""Conversion between Blender units and meters; no other module reads the unit scale.
 
-Lengths, points and velocities scale alike, so the same two functions turn all of them. A pose turns
-only its translation: rotation and stretch have no unit.
+Lengths, points and velocities scale alike, so the same two functions convert all of them. For a
+pose only the translation is converted: rotation and scale have no unit.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ def meters_per_unit(scene: bpy.types.Scene) -> float:
 
 
 def to_meters(scene: bpy.types.Scene, values: Lengths) -> Lengths:
-    """Turn lengths, points or velocities in Blender units into meters.
+    """Convert lengths, points or velocities from Blender units to meters.
 
     Args:
         scene: The scene that the values belong to.
         values: Values [Blender units, or Blender units/s], of any shape.
 
     Returns:
-        The same [m, or m/s], with the type they came in.
+        The values [m, or m/s], with unchanged type and shape.
     """
     return values * meters_per_unit(scene)
 
 
 def from_meters(scene: bpy.types.Scene, values: Lengths) -> Lengths:
-    """Turn lengths, points or velocities in meters into Blender units; see `to_meters`."""
+    """Convert lengths, points or velocities from meters to Blender units; see `to_meters`."""
     return values / meters_per_unit(scene)
 
 
 def pose_to_meters(scene: bpy.types.Scene, matrix: ArrayLike) -> NDArray[np.float64]:
-    """Turn the translation of poses in Blender units into meters.
+    """Convert the translation of poses from Blender units to meters.
 
     Args:
         scene: The scene that the poses belong to.
@@ -56,7 +56,7 @@ def pose_to_meters(scene: bpy.types.Scene, matrix: ArrayLike) -> NDArray[np.floa
 
 
 def pose_from_meters(scene: bpy.types.Scene, matrix: ArrayLike) -> NDArray[np.float64]:
-    """Turn the translation of poses in meters into Blender units; see `pose_to_meters`."""
+    """Convert the translation of poses from meters to Blender units; see `pose_to_meters`."""
     pose = np.array(matrix, np.float64)
     pose[..., :3, 3] = from_meters(scene, pose[..., :3, 3])
     return pose

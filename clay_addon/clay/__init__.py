@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Making clay from meshes, and how it looks."""
+"""Making clay from meshes, and its appearance."""

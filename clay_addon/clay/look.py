@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How clay looks: its material, and a surface in the viewport and in renders.
+"""The look of clay: its material, and a surface in the viewport and in renders.
 
-All of it is stock nodes, so it stays in the .blend and needs no add-on to show or render.
+All of it is made of Blender's own nodes, so a .blend displays and renders without the add-on.
 """
 
 from __future__ import annotations
@@ -22,17 +22,19 @@ MODIFIER_NAME = "Clay Surface"
 def add_look(clay: bpy.types.Object, *, spacing: float | None = None) -> bpy.types.Modifier:
     """Show a clay object as a smooth, colored surface.
 
-    Adds the modifier "Clay Surface" last in the stack, or returns the one that is there, and puts
-    the clay material on the object. The modifier's *Surface* switches between surface and points;
-    above *Viewport Limit* particles the viewport shows points and only renders the surface.
+    Adds the modifier "Clay Surface" at the end of the stack unless there is one, and the clay
+    material. The modifier's *Surface* switches between surface and points; above *Viewport Limit*
+    particles, the viewport shows points and only renders show the surface.
 
     Args:
         clay: Point cloud object with the attributes ``radius`` and ``Color``.
-        spacing: Distance between particles [Blender units]; twice the first radius where not
-            given.
+        spacing: Distance between particles [Blender units]; by default twice the first radius.
+
+    Returns:
+        The modifier.
 
     Raises:
-        ValueError: if the object is no point cloud or its spacing cannot be told.
+        ValueError: The object is not a point cloud, or its spacing is unknown or not positive.
     """
     if clay.type != "POINTCLOUD":
         raise ValueError(f"{clay.name!r} is a {clay.type.lower()}, not a point cloud of clay.")
@@ -58,15 +60,15 @@ def add_look(clay: bpy.types.Object, *, spacing: float | None = None) -> bpy.typ
 def surface_object(
     surface: Surface, name: str, *, spacing: float | None = None
 ) -> bpy.types.Object:
-    """Make a mesh object of a reconstructed surface, smooth shaded, with the clay material.
+    """Make a smooth-shaded mesh object from a reconstructed surface, with the clay material.
 
     The object is not linked to a collection.
 
     Args:
-        surface: What `reconstruct` made.
+        surface: The surface from `reconstruct`.
         name: Name of the object.
-        spacing: Distance between particles [Blender units], for the grain of the material; told
-            from the mesh where not given.
+        spacing: Distance between particles [Blender units], for the grain of the material; by
+            default estimated from the mesh.
     """
     mesh = bpy.data.meshes.new(name)
     if spacing is None:
@@ -79,9 +81,9 @@ def surface_object(
 
 
 def show_colors() -> None:
-    """Let solid 3D views that color by material, as they do at first, color by attribute.
+    """Switch solid 3D views from material colors, Blender's default, to attribute colors.
 
-    So they show the clay's own colors, and everything else as before.
+    They then show the clay's own colors; other objects look as before.
     """
     for screen in bpy.data.screens:
         for area in screen.areas:
@@ -91,10 +93,10 @@ def show_colors() -> None:
 
 
 def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
-    """Set an input of a geometry nodes modifier by its name.
+    """Set an input of a geometry nodes modifier by name.
 
     Raises:
-        KeyError: if the modifier has no such input.
+        KeyError: The modifier has no such input.
     """
     identifier = _input_identifier(modifier, name)
     if bpy.app.version < (5, 2, 0):
@@ -105,10 +107,10 @@ def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
 
 
 def get_input(modifier: bpy.types.Modifier, name: str) -> Any:
-    """Return an input of a geometry nodes modifier by its name.
+    """Return an input of a geometry nodes modifier by name.
 
     Raises:
-        KeyError: if the modifier has no such input.
+        KeyError: The modifier has no such input.
     """
     identifier = _input_identifier(modifier, name)
     if bpy.app.version < (5, 2, 0):
@@ -117,10 +119,10 @@ def get_input(modifier: bpy.types.Modifier, name: str) -> Any:
 
 
 def input_path(modifier: bpy.types.Modifier, name: str) -> str:
-    """Return the data path, from its object, that keyframes of a modifier's input have.
+    """The data path of a modifier's input, relative to the object, for keyframes.
 
     Raises:
-        KeyError: if the modifier has no such input.
+        KeyError: The modifier has no such input.
     """
     identifier = _input_identifier(modifier, name)
     path = f'modifiers["{bpy.utils.escape_identifier(modifier.name)}"]'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The material of clay, out of stock nodes."""
+"""The shader of clay, built from Blender's own nodes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from ..base.surface_mesh import COLOR_ATTRIBUTE, SPACING_ATTRIBUTE, TEXTURE_ATTR
 
 MATERIAL_NAME = "Clay"
 MARK = "tactile_clay_look"
-"""Custom property of what makes the look, so that a user's own data of that name stays."""
+"""Custom property that marks our materials and node groups, to leave the user's own alone."""
 VERSION = 2
+"""Value of the mark; data with another value is not reused."""
 
 
 def clay_material() -> bpy.types.Material:
-    """Return the material of all clay, made at the first call.
+    """The material shared by all clay, created at the first call.
 
     Its color is the attribute ``Color`` of the surface or the points.
     """
@@ -37,7 +38,7 @@ def clay_material() -> bpy.types.Material:
     spacing = add_node(tree, "ShaderNodeAttribute", (-1000, -600))
     spacing.name = spacing.label = spacing.attribute_name = SPACING_ATTRIBUTE
     normal = None
-    # Shallow dents as thumbs leave them, and the grain of the clay.
+    # Shallow dents like thumb marks, then the fine grain of the clay.
     for x, scale, detail, depth in ((-600, 0.22, 2.0, 0.6), (-350, 1.6, 5.0, 0.035)):
         noise = add_node(tree, "ShaderNodeTexNoise", (x - 200, -150), Scale=scale, Detail=detail)
         tree.links.new(place.outputs["Vector"], noise.inputs["Vector"])
@@ -73,7 +74,7 @@ def clay_material() -> bpy.types.Material:
 
 
 def add_node(tree: bpy.types.NodeTree, kind: str, place: tuple[float, float], **values: Any) -> Any:
-    """Add a node and set inputs by name."""
+    """Add a node and set its inputs by name."""
     node = tree.nodes.new(kind)
     node.location = place
     for name, value in values.items():

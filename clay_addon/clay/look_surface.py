@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of clay out of stock nodes: points to volume to mesh, smoothed and colored."""
+"""The surface of clay from Blender's own nodes: points to volume to mesh, smoothed and colored."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .look_material import MARK, VERSION, add_node
 NODE_GROUP_NAME = "Clay Surface"
 REST_ATTRIBUTE = "rest_position"
 
-# The surface of the node group, in units of the particle distance; measured so that a block comes
-# out with flat faces at the right place (see tests/clay_addon/clay/test_look.py).
+# Parameters of the node group, in units of the particle spacing; calibrated so that a block gets
+# flat faces in the right place (see tests/clay_addon/clay/test_look.py).
 _BALL_RADIUS = 1.3
 _VOXEL_SIZE = 0.5
 _THRESHOLD = 0.3
@@ -29,7 +29,7 @@ _VIEWPORT_LIMIT = 20_000
 
 
 def surface_group() -> bpy.types.NodeTree:
-    """Return the node group of the surface, made at the first call."""
+    """The node group of the surface, created at the first call."""
     for tree in bpy.data.node_groups:
         if tree.get(MARK) == VERSION and tree.library is None:
             return tree
@@ -40,11 +40,11 @@ def surface_group() -> bpy.types.NodeTree:
     socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     for name, kind, default, lowest, description in (
-        ("Surface", "Bool", True, None, "Show a surface; points otherwise"),
+        ("Surface", "Bool", True, None, "Show a surface; otherwise points"),
         ("Viewport Limit", "Int", _VIEWPORT_LIMIT, 0,
          "With more particles than this the viewport shows points, and only renders the surface"),
         ("Spacing", "Float", 0.005, 1e-9, "Distance between particles"),
-        ("Smoothing", "Int", _SMOOTHING, 0, "Passes that flatten the trace of the particles"),
+        ("Smoothing", "Int", _SMOOTHING, 0, "Number of passes that smooth out the particles"),
     ):  # fmt: skip
         item = socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
         item.default_value = default
@@ -81,8 +81,8 @@ def surface_group() -> bpy.types.NodeTree:
     )
     link(volume.outputs[0], contour.inputs["Volume"])
 
-    # Smoothing shrinks a crumb of a few particles to nothing, so it is spared: 0 there, 1 on all
-    # that has some hundred vertices.
+    # Smoothing makes crumbs of a few particles vanish, so this weight exempts them: 0 on crumbs,
+    # rising to 1 on islands of several hundred vertices.
     island = add_node(tree, "GeometryNodeInputMeshIsland", (-1500, -350))
     size = add_node(tree, "GeometryNodeAccumulateField", (-1300, -350))
     size.data_type = "INT"
@@ -95,10 +95,10 @@ def surface_group() -> bpy.types.NodeTree:
     for number, value in enumerate((*_CRUMB_VERTICES, 0.0, 1.0), 1):
         body.inputs[number].default_value = value
 
-    # The balls are larger than the particles so that no gap shows between them; this takes the
-    # difference back.
+    # The balls are larger than the particles so that no gaps show between them; this moves the
+    # surface back inward.
     normal = add_node(tree, "GeometryNodeInputNormal", (-900, -200))
-    # Where particles left a groove, normals of their own would make the sides cross.
+    # In a groove, unsmoothed normals would make the sides cross.
     even = add_node(tree, "GeometryNodeBlurAttribute", (-800, -100), Iterations=_NORMAL_SMOOTHING)
     even.data_type = "FLOAT_VECTOR"
     link(normal.outputs[0], next(item for item in even.inputs if item.enabled))
@@ -117,7 +117,7 @@ def surface_group() -> bpy.types.NodeTree:
     link(contour.outputs[0], placed.inputs["Geometry"])
     link(inward.outputs[0], placed.inputs["Offset"])
 
-    # With B the blur, 2 B - B B flattens bumps as B does but hardly shrinks crumbs and corners.
+    # With B the blur, 2 B - B B flattens bumps like B but hardly shrinks crumbs and corners.
     position = add_node(tree, "GeometryNodeInputPosition", (-1100, -550))
     once, twice = (add_node(tree, "GeometryNodeBlurAttribute", (x, -550)) for x in (-900, -700))
     for blur in (once, twice):
@@ -151,7 +151,7 @@ def surface_group() -> bpy.types.NodeTree:
     colored.data_type = "FLOAT_COLOR"
     colored.domain = "POINT"
     link(smoothed.outputs[0], colored.inputs["Geometry"])
-    # The nearest particle's color alone would leave borders jagged.
+    # Without blur, borders between colors would be jagged.
     mixed = add_node(tree, "GeometryNodeBlurAttribute", (-300, -700), Iterations=_COLOR_SMOOTHING)
     mixed.data_type = "FLOAT_COLOR"
     link(sample.outputs[0], next(item for item in mixed.inputs if item.enabled))
@@ -184,7 +184,7 @@ def surface_group() -> bpy.types.NodeTree:
     many = add_node(tree, "FunctionNodeCompare", (-100, 550))
     many.data_type = "INT"
     many.operation = "GREATER_THAN"
-    # Blender 4.5 keeps the sockets of the other data types beside these.
+    # In Blender 4.5, the sockets of the other data types exist too, but are disabled.
     first, second = (item for item in many.inputs if item.enabled)
     link(count.outputs["Point Count"], first)
     link(given.outputs["Viewport Limit"], second)
@@ -208,9 +208,9 @@ def surface_group() -> bpy.types.NodeTree:
 
 
 def _grain(tree: bpy.types.NodeTree, points: Any, position: Any, nearest: Any) -> Any:
-    """Where a place of the surface was at first: so the grain goes along with the clay.
+    """Add nodes for the rest position of each vertex, so that the grain moves with the clay.
 
-    It stays where it is where the points don't know their rest positions.
+    If the points have no rest positions, the current position is used.
     """
     link = tree.links.new
     rest = add_node(tree, "GeometryNodeInputNamedAttribute", (-900, -900), Name=REST_ATTRIBUTE)

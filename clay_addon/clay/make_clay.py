@@ -26,21 +26,21 @@ def make_clay(
     name: str = "Clay",
     *,
     follow_thin_walls: bool = False,
-    tell: Callable[[str], object] = lambda note: None,
+    on_note: Callable[[str], object] = lambda note: None,
 ) -> bpy.types.Object:
-    """Make one clay object, a point cloud, out of closed meshes.
+    """Make one clay object, a point cloud, from closed meshes.
 
-    Modifiers and the objects' transforms are applied. Where pieces overlap, the clay is there
-    once. The meshes stay, hidden. Nothing is changed when an error is raised.
+    Modifiers and the objects' transforms are applied. Where pieces overlap, the clay is filled
+    only once. The meshes are kept but hidden. If an error is raised, nothing has changed.
 
     Args:
-        context: Where to make it.
+        context: Its scene and active collection get the clay.
         objects: Mesh objects.
-        spacing: Distance between particles [Blender units]; the scene's where not given.
-        material_preset: Name of a material preset; the scene's where not given.
+        spacing: Distance between particles [Blender units]; by default the scene's.
+        material_preset: Name of a material preset; by default the scene's.
         name: Name of the clay object.
         follow_thin_walls: Whether walls too thin for the spacing get one layer of particles.
-        tell: Called with each sentence about what was done to the meshes to make clay of them.
+        on_note: Called with each note about how a mesh was repaired or filled.
 
     Raises:
         ClayError: The objects cannot become clay; the message names the object and the reason.
@@ -64,7 +64,7 @@ def make_clay(
     check_place(pieces, spacing)
     points, notes = fill_pieces(pieces, spacing, scene, follow_thin_walls=follow_thin_walls)
     for note in notes:
-        tell(note)
+        on_note(note)
     colors = np.concatenate(
         [
             np.tile(_color_of(item), (len(part), 1))
@@ -75,7 +75,7 @@ def make_clay(
 
 
 def _color_of(item: bpy.types.Object) -> tuple[float, ...]:
-    """Color of a piece, linear RGBA: its material's, else the object's, else terracotta."""
+    """Linear RGBA color of a piece: from its material, else from the object, else terracotta."""
     material = item.active_material
     if material is not None:
         if material.node_tree and (bpy.app.version >= (5, 0, 0) or material.use_nodes):
@@ -96,7 +96,7 @@ def _build(
     preset: str,
     name: str,
 ) -> bpy.types.Object:
-    # The origin lies amid the clay, where the transform gizmo is expected.
+    # The origin is at the center of the clay, where users expect the transform gizmo.
     origin = (0.5 * (points.min(0).astype(np.float64) + points.max(0))).astype(np.float32)
     clay = make_point_cloud(context, points - origin, colors, spacing, name)
     clay.location = origin.tolist()
@@ -112,14 +112,14 @@ def _build(
         source.select_set(False)
     clay.select_set(True)
     context.view_layer.objects.active = clay
-    # Blender crashes when a script changes geometry while the interface draws it in a render.
+    # Blender crashes if a script changes geometry while the interface draws it during a render.
     context.scene.render.use_lock_interface = True
     context.view_layer.update()
     return clay
 
 
 class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
-    """Turn the selected closed meshes into one clay object; the meshes are kept, hidden"""
+    """Turn the selected closed meshes into one clay object; the meshes are kept but hidden"""
 
     bl_idname = "clay.make"
     bl_label = "Make Clay"
@@ -127,7 +127,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
 
     spacing: bpy.props.FloatProperty(
         name="Spacing",
-        description="Distance between particles; 0 takes the scene's",
+        description="Distance between particles; 0 uses the scene's",
         subtype="DISTANCE",
         unit="LENGTH",
         min=0.0,
@@ -136,7 +136,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
     )
     material_preset: bpy.props.EnumProperty(
         name="Material",
-        description="What the clay is made of",
+        description="Material of the clay",
         items=operator_items,
         default=0,
         options={"SKIP_SAVE"},
@@ -144,13 +144,13 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
 
     follow_thin_walls: bpy.props.BoolProperty(
         name="Thin Walls",
-        description="Give walls that are thinner than the spacing one layer of particles",
+        description="Give walls thinner than the spacing one layer of particles",
         default=False,
         options={"SKIP_SAVE"},
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make the clay, or report why not."""
+        """Make the clay, or report why it cannot be made."""
         window = context.window
         if window and not bpy.app.background:
             window.cursor_modal_set("WAIT")
@@ -161,7 +161,7 @@ class CLAY_OT_make(bpy.types.Operator):  # noqa: N801
                 self.spacing or None,
                 None if self.material_preset == SCENE else self.material_preset,
                 follow_thin_walls=self.follow_thin_walls,
-                tell=lambda note: self.report({"WARNING"}, note),
+                on_note=lambda note: self.report({"WARNING"}, note),
             )
         except ClayError as error:
             self.report({"ERROR"}, str(error))

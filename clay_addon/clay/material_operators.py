@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Saving what clay is made of as a material of the user's own, and removing it again."""
+"""Operators that save the active clay's material for reuse, and remove saved materials."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import bpy
 from ..model.clay_scene import material_of
 from ..model.material_presets import CUSTOM, is_user_material
 from ..model.user_materials import (
-    LABEL_LENGTH,
+    MAX_LABEL_LENGTH,
     UserMaterialError,
     forget_user_materials,
     remove_user_material,
@@ -22,7 +22,7 @@ def _clay(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 class CLAY_OT_material_save(bpy.types.Operator):  # noqa: N801
-    """Save what the active clay is made of as a material of your own, for all files"""
+    """Save the active clay's material as one of your own, for use in all files"""
 
     bl_idname = "clay.material_save"
     bl_label = "Save Material"
@@ -30,19 +30,19 @@ class CLAY_OT_material_save(bpy.types.Operator):  # noqa: N801
 
     label: bpy.props.StringProperty(
         name="Name",
-        description="What to call the material",
-        maxlen=LABEL_LENGTH,
+        description="Name of the material",
+        maxlen=MAX_LABEL_LENGTH,
         options={"SKIP_SAVE"},
     )
     replace: bpy.props.BoolProperty(
         name="Replace",
-        description="Overwrite a material of yours that has this name",
+        description="Overwrite your material of the same name",
         options={"SKIP_SAVE"},
     )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with clay active."""
+        """Available while clay is active."""
         return _clay(context) is not None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -52,7 +52,7 @@ class CLAY_OT_material_save(bpy.types.Operator):  # noqa: N801
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Save, or report why not."""
+        """Save the material, or report why it cannot be saved."""
         item = _clay(context)
         assert item is not None
         try:
@@ -66,7 +66,7 @@ class CLAY_OT_material_save(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_material_remove(bpy.types.Operator):  # noqa: N801
-    """Delete the chosen material of your own; clay that is made of it keeps its values"""
+    """Delete this material of yours; clay made of it keeps its values"""
 
     bl_idname = "clay.material_remove"
     bl_label = "Remove Material"
@@ -74,19 +74,19 @@ class CLAY_OT_material_remove(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where the active clay is made of a material that the user has saved."""
+        """Available if the active clay's material was saved by the user."""
         item = _clay(context)
         if item is None or not is_user_material(item.tactile_clay.material_preset):
-            cls.poll_message_set("Choose a material that you have saved")
+            cls.poll_message_set("Choose a material that you saved")
             return False
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first: the file is gone for other .blend files, too."""
+        """Ask for confirmation, as the material is removed for all .blend files."""
         return context.window_manager.invoke_confirm(self, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Delete, or report why not."""
+        """Delete the material, or report why it cannot be deleted."""
         item = _clay(context)
         assert item is not None
         name = item.tactile_clay.material_preset

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The closed meshes that become clay: taken from objects, checked, and filled with particles."""
+"""Closed meshes that become clay: read from objects, checked, and filled with particles."""
 
 from __future__ import annotations
 
@@ -14,12 +14,18 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ...solver.geometry.closed_mesh import ClosedMesh, MeshError, closed_mesh, mesh_volume
-from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..base.mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    is_switched_off,
+    oriented_triangles,
+    transform,
+)
 from ..base.units import from_meters, to_meters
 from ..core.surface.particle_grid import ParticleGrid
 
 MAX_PARTICLE_COUNT = 1_000_000
-"""More particles than this in one object are taken for a slip of the hand."""
+"""More particles than this in one object are assumed to be a mistake."""
 
 MIN_PARTICLE_COUNT = 8
 """Fewer particles than this cannot deform like clay."""
@@ -33,23 +39,23 @@ class Piece(NamedTuple):
     """A closed mesh that becomes clay."""
 
     name: str
-    """Of its object."""
+    """Name of its object."""
     mesh: ClosedMesh
-    """In the world [Blender units]."""
+    """The mesh in world coordinates [Blender units]."""
 
     @property
     def volume(self) -> float:
-        """What it holds [Blender units³]; where its bodies overlap, twice."""
+        """Its volume [Blender units³]; overlaps between its bodies count twice."""
         return mesh_volume(self.mesh.vertices, self.mesh.faces)
 
 
 class FilledPieces(NamedTuple):
-    """Particles in pieces of clay, and what a person should know of how they came there."""
+    """Particles of pieces of clay, and notes for the user."""
 
     points: list[NDArray[np.float32]]
-    """Of each piece [Blender units], shape [N, 3]."""
+    """Particle positions of each piece [Blender units], shape [N, 3]."""
     notes: list[str]
-    """Each as a sentence that names the object."""
+    """How meshes were repaired or filled; each is a sentence that names the object."""
 
 
 def closed_pieces(
@@ -64,22 +70,20 @@ def closed_pieces(
     for item in objects:
         if item.type != "MESH":
             already = item.tactile_clay.role == "CLAY"
-            what = "is clay already" if already else f"is no mesh ({item.type.lower()})"
+            what = "is already clay" if already else f"is not a mesh ({item.type.lower()})"
             if item.type == "EMPTY" and item.instance_collection is not None:
                 raise ClayError(
-                    f"{item.name!r} shows instances of a collection. Make meshes of them first "
+                    f"{item.name!r} shows instances of a collection. Convert them to meshes first "
                     "(Object > Apply > Make Instances Real)."
                 )
             raise ClayError(f"{item.name!r} {what}. Select closed meshes only.")
         if item.tactile_clay.role == "COLLIDER":
             raise ClayError(
-                f"{item.name!r} is a collider. Leave it out of the selection, or press Remove "
-                "Collider first."
+                f"{item.name!r} is a collider. Deselect it, or press Remove Collider first."
             )
         if item.tactile_clay.role == "HAND":
             raise ClayError(
-                f"{item.name!r} is a clay hand. Leave it out of the selection, or press Remove "
-                "Clay Hand first."
+                f"{item.name!r} is a clay hand. Deselect it, or press Remove Clay Hand first."
             )
         if item.library is not None:
             raise ClayError(
@@ -94,7 +98,9 @@ def closed_pieces(
         matrix = item.evaluated_get(depsgraph).matrix_world
         try:
             mesh = closed_mesh(
-                transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+                transform(matrix, vertices),
+                oriented_triangles(matrix, triangles),
+                name=repr(item.name),
             )
         except MeshError as error:
             raise ClayError(str(error)) from error
@@ -103,41 +109,41 @@ def closed_pieces(
 
 
 def check_particle_count(pieces: list[Piece], spacing: float, scene: bpy.types.Scene) -> None:
-    """Refuse pieces that would be far too many particles, or too few to be clay.
+    """Check that pieces have neither far too many particles nor too few to deform.
 
     Raises:
-        ClayError: The message names a spacing that would do.
+        ClayError: They do; the message suggests a spacing.
     """
     volumes = [piece.volume for piece in pieces]
     total = sum(volumes)
     if total / spacing**3 > MAX_PARTICLE_COUNT:
         raise ClayError(
-            f"That would be {_about(total / spacing**3)} particles; {MAX_PARTICLE_COUNT:,} are "
-            f"the most. Use a spacing of at least "
+            f"That would be {_about(total / spacing**3)} particles; the maximum is "
+            f"{MAX_PARTICLE_COUNT:,}. Use a spacing of at least "
             f"{_length(_rounded(total / MAX_PARTICLE_COUNT, up=True), scene)}, or check the "
             "size of the meshes."
         )
     for (name, _), volume in zip(pieces, volumes, strict=True):
         if round(volume / spacing**3) < MIN_PARTICLE_COUNT:
             raise ClayError(
-                f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would hold "
+                f"{name!r} is too small for a spacing of {_length(spacing, scene)}: it would have "
                 f"{round(volume / spacing**3)} particles. Use a spacing of at most "
                 f"{_length(_rounded(volume / 200, up=False), scene)}, or a larger mesh."
             )
 
 
 def check_place(pieces: list[Piece], spacing: float) -> None:
-    """Refuse pieces that are too far from the origin for single precision.
+    """Check that pieces are close enough to the origin for single precision.
 
     Raises:
-        ClayError: The message names the object.
+        ClayError: One is not; the message names the object.
     """
     for name, mesh in pieces:
-        # The step of single precision at the farthest coordinate.
+        # The resolution of single precision at the largest coordinate.
         if np.spacing(np.float32(np.abs(mesh.vertices).max())) > 0.01 * spacing:
             raise ClayError(
-                f"{name!r} lies so far from the world's origin that single precision blurs its "
-                "particles. Move it closer to the origin."
+                f"{name!r} is too far from the world origin: its particle positions would not be "
+                "precise enough. Move it closer to the origin."
             )
 
 
@@ -148,12 +154,12 @@ def fill_pieces(
     *,
     follow_thin_walls: bool = False,
 ) -> FilledPieces:
-    """Particles of each piece, without those that an earlier piece has already.
+    """Fill each piece with particles, except where an earlier piece already has some.
 
     Args:
-        pieces: What to fill.
+        pieces: The pieces.
         spacing: Distance between particles [Blender units].
-        scene: Its unit scale counts.
+        scene: The scene whose unit scale applies.
         follow_thin_walls: Whether walls too thin for the spacing get one layer of particles.
 
     Raises:
@@ -161,7 +167,7 @@ def fill_pieces(
     """
     from ...solver.geometry.fill import fill
 
-    # The solver's messages speak of meters, so that is what it is given.
+    # In meters, as lengths in the solver's messages are.
     filled: list[NDArray[np.float32]] = []
     notes = []
     for index, (name, mesh) in enumerate(pieces):
@@ -189,7 +195,7 @@ def _occupied(
     particles: NDArray[np.float32],
     spacing: float,
 ) -> NDArray[np.bool_]:
-    """Which points lie inside a mesh, or closer than half a spacing to its particles."""
+    """Mask of the points inside a mesh, or within half a spacing of its particles, shape [N]."""
     from ...solver.geometry.inside import is_inside
 
     taken = np.zeros(len(points), bool)
@@ -205,10 +211,10 @@ def _occupied(
 
 
 def _rounded(cell_volume: float, *, up: bool) -> float:
-    """Edge of a cubic cell, rounded to two digits."""
+    """Edge length of a cubic cell, rounded to two digits."""
     edge = cell_volume ** (1 / 3)
     step = 10.0 ** (math.floor(math.log10(edge)) - 1)
-    # Single precision makes a round edge a little longer or shorter.
+    # The tolerance keeps round values round despite single precision.
     return (math.ceil(edge / step - 1e-4) if up else math.floor(edge / step + 1e-4)) * step
 
 

@@ -18,7 +18,7 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
     from ..deliver.export import ExportError, check_target, export_clay
     from ..model.clay_scene import clay_objects
     from ..playback.playback import message, shown_frame
-    from ..playback.poses import plays_itself
+    from ..playback.poses import needs_no_cache
 
     if arguments.cache is not None:
         scene.tactile_clay.cache_directory = absolute_path(arguments.cache)
@@ -28,7 +28,7 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
         with context.temp_override(scene=scene):
             scene.frame_set(frame)
             itself = all(
-                plays_itself(item, scene.frame_current_final) for item in clay_objects(scene)
+                needs_no_cache(item, scene.frame_current_final) for item in clay_objects(scene)
             )
             if message(scene) and not itself:
                 raise CommandError(message(scene), EXIT_STALE)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""All of the add-on that needs no Blender."""
+"""The parts of the add-on that do not need Blender."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Durations and sizes as people say them."""
+"""Human-readable durations and sizes."""
 
 
 def duration_text(seconds: float | None) -> str:
-    """A duration, such as ``2 min 05 s``; an ellipsis where it is unknown."""
+    """A duration, such as ``2 min 05 s``; an ellipsis if it is unknown."""
     if seconds is None:
         return "…"
     if seconds < 60:

@@ -166,7 +166,7 @@ def deliver_steps(
     except BusyError as error:
         raise DeliveryError(str(error)) from error
     frames = _deliver_frames(context, kind, start, end, directory, points, show)
-    return (yield from clay_activity.through(ActivityKind.DELIVERY, frames))
+    return (yield from clay_activity.run_steps(ActivityKind.DELIVERY, frames))
 
 
 def _deliver_frames(

@@ -62,7 +62,7 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
         """Export, or report why not."""
         from ..model.clay_scene import clay_objects
         from ..playback.playback import message
-        from ..playback.poses import plays_itself
+        from ..playback.poses import needs_no_cache
 
         clay = clay_objects(context.scene)
         if self.use_selection:
@@ -71,7 +71,7 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
                 self.report({"ERROR"}, "No clay is selected.")
                 return {"CANCELLED"}
         time = context.scene.frame_current_final
-        itself = all(plays_itself(item, time) for item in clay)
+        itself = all(needs_no_cache(item, time) for item in clay)
         if message(context.scene) and not itself:
             self.report({"WARNING"}, message(context.scene))
         window = None if bpy.app.background else context.window

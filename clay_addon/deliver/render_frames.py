@@ -24,7 +24,7 @@ from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME, held_frame
 from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
 from ..playback.playback import cache_of, message
-from ..playback.poses import plays_itself
+from ..playback.poses import needs_no_cache
 from .object import delivered_object
 
 __all__ = ["FrameNotBakedError", "RenderError", "RenderProgress", "RenderResult", "render_frames"]
@@ -147,7 +147,7 @@ def _shows_bake(scene: bpy.types.Scene, frame: int) -> bool:
     if delivered_object(scene) is not None:
         return False
     time = animation_time(scene, frame)
-    return not all(plays_itself(item, time) for item in clay_objects(scene))
+    return not all(needs_no_cache(item, time) for item in clay_objects(scene))
 
 
 def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) -> list[Path]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ...solver.hand.skinned_hand import SkinnedHand
-from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, transform, turn_for
+from ..base.mesh_geometry import SWITCHED_OFF, is_switched_off, oriented_triangles, transform
 from ..base.units import pose_to_meters, to_meters
 
 _WELD_DISTANCE = 1e-5
@@ -88,7 +88,7 @@ def skinned_hand(context: bpy.types.Context, item: bpy.types.Object) -> SkinnedH
     rest = np.stack([pose_to_meters(context.scene, bone.matrix_local) for bone in kept])
     return SkinnedHand(
         vertices=to_meters(context.scene, transform(matrix, points)) if len(points) else points,
-        faces=turn_for(matrix, triangles),
+        faces=oriented_triangles(matrix, triangles),
         bone_names=tuple(names),
         bone_rest=world @ rest,
         bone_parent=np.array([_parent_index(bone, names) for bone in kept], np.int32),

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps about its clay, and what those properties mean."""
+"""The properties that a .blend stores about its clay, and how to read and write them."""

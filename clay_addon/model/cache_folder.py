@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of a scene's bake, and whose it is."""
+"""The cache folder of a scene's bake, and the owner recorded in it."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def resolve_directory(
     """The cache folder as an absolute path.
 
     Args:
-        scene: Its cache folder is taken where `directory` is None.
-        directory: A path; one that starts with ``//`` is beside the .blend.
+        scene: The scene whose cache folder is used if `directory` is None.
+        directory: A path; ``//`` at its start is the folder of the .blend file.
 
     Raises:
-        CacheFolderError: No folder is set, or it is relative to a .blend that was never saved,
-            or to nothing at all.
+        CacheFolderError: No folder is set, it is relative to a .blend that was never saved, or
+            the scene's folder is a relative path without ``//``.
     """
     text = os.fspath(directory) if directory is not None else scene.tactile_clay.cache_directory
     if not text:
@@ -40,14 +40,17 @@ def resolve_directory(
     path = Path(bpy.path.abspath(text))
     if directory is None and not path.is_absolute():
         raise CacheFolderError(
-            f"The cache folder {text!r} is beside nothing known. Begin it with // for a folder "
-            "beside the .blend, or give the whole path."
+            f"The cache folder {text!r} is relative to nothing. Begin it with // for a folder "
+            "beside the .blend, or give an absolute path."
         )
     return path.absolute()
 
 
 def owner_of(scene: bpy.types.Scene, cache: Cache) -> str:
-    """The .blend, seen from the cache folder so that both can move together, and the scene."""
+    """The owner of a cache: the .blend's path and the scene's name; empty if never saved.
+
+    The path is relative to the cache folder, so that both can be moved together.
+    """
     if not bpy.data.filepath:
         return ""
     try:

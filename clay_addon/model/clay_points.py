@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writing to the points of a clay object: where they are, how many, and what shape they start from.
+"""Writing a clay object's points: positions, colors, number and starting shape.
 
-What a person has sculpted is the shape that the next bake or session starts from. The attribute
-``rest_position`` holds it.
+The next bake or session starts from the shape that was last sculpted, which the attribute
+``rest_position`` holds.
 """
 
 from __future__ import annotations
@@ -14,18 +14,23 @@ from numpy.typing import NDArray
 from .point_cloud import make_point_cloud, write_attributes
 
 BAKED_MARK = "clay_baked"
-"""Custom property of points that are in a baked frame. It stands beside them, not on the object,
-so that Undo brings back both or neither."""
+"""Custom property of a point cloud that shows a baked frame. It is stored on the data, not the
+object, so that Undo restores both or neither."""
 SCULPTED_MARK = "clay_sculpted"
-"""Custom property of points whose starting shape was sculpted since it was baked; a bake takes it
-away."""
+"""Custom property of a point cloud whose starting shape was sculpted since it was baked; a bake
+removes it."""
 ABSENT = "clay_absent"
-"""Attribute of points of which some are not there all the time. Those that are not are at the very
-place of another; it is true of those that are not there in the beginning."""
+"""Attribute of a point cloud some of whose points are absent at times. Absent points coincide
+exactly with another point; the attribute is true for those absent at the start."""
 
 
 def present_rows(item: bpy.types.Object, local: NDArray[np.floating]) -> slice | NDArray[np.int64]:
-    """Which of a clay object's points are there, given where all are, shape [N, 3]."""
+    """Indices of the points that are present, as a slice or an array of shape [P].
+
+    Args:
+        item: A clay object.
+        local: Positions of all its points, shape [N, 3].
+    """
     if ABSENT not in item.data.attributes:
         return slice(None)
     return np.sort(np.unique(local, axis=0, return_index=True)[1])
@@ -39,7 +44,7 @@ def write_points(
     Args:
         item: A clay object.
         local: Positions in its coordinates [Blender units], shape [N, 3].
-        attribute: Of the points, one that is there.
+        attribute: An existing vector attribute of the points.
     """
     values = np.ascontiguousarray(local, np.float32).ravel()
     layer = item.data.attributes[attribute].data
@@ -66,28 +71,28 @@ def replace_points(
     local: NDArray[np.floating],
     colors: NDArray[np.floating],
 ) -> None:
-    """Give a clay object other points, and other many.
+    """Replace a clay object's points, whose number may change.
 
     Args:
-        context: Where the object is.
+        context: The context whose view layer contains the object.
         item: A clay object.
-        local: Positions in its coordinates [Blender units], shape [N, 3], at least one.
+        local: Positions in its coordinates [Blender units], shape [N, 3], with N at least 1.
         colors: Linear RGBA, shape [N, 4].
 
     Raises:
-        ValueError: There are none.
+        ValueError: There are no points.
     """
     if not len(local):
         raise ValueError(f"{item.name!r} would have no clay left.")
     points = np.ascontiguousarray(local, np.float32)
     tints = np.ascontiguousarray(colors, np.float32)
     spacing = item.tactile_clay.spacing
-    # The class does not have what its objects have.
+    # Only instances have the attribute, so the class cannot be asked.
     if hasattr(item.data, "resize"):
         item.data.resize(len(points))
         write_attributes(item.data, points, tints, spacing)
         return
-    # Blender 4.5 cannot size a point cloud, so the object gets another one.
+    # Blender 4.5 cannot resize a point cloud, so the object gets a new one.
     active, selected = context.view_layer.objects.active, list(context.selected_objects)
     carrier = make_point_cloud(context, points, tints, spacing, item.data.name)
     before, item.data = item.data, carrier.data
@@ -106,7 +111,7 @@ def replace_points(
 
 
 def keep_sculpted(item: bpy.types.Object) -> None:
-    """Let the shape that is shown be the one that a bake or a session starts from."""
+    """Make the displayed shape the one that the next bake or session starts from."""
     values = np.empty(3 * len(item.data.points), np.float32)
     item.data.attributes["position"].data.foreach_get("vector", values)
     write_points(item, values, "rest_position")

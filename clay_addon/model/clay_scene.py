@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a Blender scene holds for a simulation, and how its clay is read."""
+"""Reading what a simulation needs from a Blender scene: clay, colliders, settings, device."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class SimulationError(TactileClayError):
 
 
 def clay_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The clay of a scene, by name: the order of the particles in the solver and the cache."""
+    """The clay of a scene, sorted by name: the order of particles in the solver and the cache."""
     found = [
         item
         for item in scene.objects
@@ -30,7 +30,7 @@ def clay_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def collider_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The colliders of a scene, by name."""
+    """The colliders of a scene, sorted by name."""
     found = [item for item in scene.objects if item.tactile_clay.role == "COLLIDER"]
     return sorted(found, key=lambda item: item.name)
 
@@ -43,14 +43,14 @@ def is_enabled(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bool:
 
 
 def frames_per_second(scene: bpy.types.Scene) -> float:
-    """Frames in one second [1/s]."""
+    """Frame rate [1/s]."""
     return scene.render.fps / scene.render.fps_base
 
 
 def read_points(
     item: bpy.types.Object, attribute: str, width: int = 3
 ) -> NDArray[np.float32] | None:
-    """An attribute of a point cloud, shape [N, width]; None if there is no such attribute."""
+    """A vector or color attribute of a point cloud, shape [N, width]; None if it has none."""
     layer = item.data.attributes.get(attribute)
     key = {"FLOAT_VECTOR": "vector", "FLOAT_COLOR": "color"}.get(layer.data_type) if layer else None
     if layer is None or key is None:
@@ -71,15 +71,16 @@ def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> 
 
     Args:
         item: A clay object.
-        attribute: ``rest_position``, which a bake starts from, or ``position``, which is shown.
+        attribute: ``rest_position``, which a bake starts from, or ``position``, as displayed.
 
     Raises:
-        SimulationError: The object is not as Make Clay made it, or it is scaled.
+        SimulationError: The attribute is missing, empty or not finite, or the object's transform
+            is not finite or scales it.
     """
     local = read_points(item, attribute)
     if local is None:
         raise SimulationError(
-            f"{item.name!r} has lost its attribute {attribute}, so the shape it starts from is "
+            f"{item.name!r} has lost its attribute {attribute}, so its starting shape is "
             "unknown. Undo, or make the clay again."
         )
     if not len(local):
@@ -95,14 +96,14 @@ def clay_positions(item: bpy.types.Object, attribute: str = "rest_position") -> 
         )
     if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-4):
         raise SimulationError(
-            f"{item.name!r} is scaled, so its particles no longer have their spacing. Clear the "
+            f"{item.name!r} is scaled, which changes the spacing of its particles. Clear the "
             "scale (Alt+S), scale the meshes it was made from, and make the clay again."
         )
     return transform(matrix, local).astype(np.float32)
 
 
 def material_of(item: bpy.types.Object) -> Material:
-    """What a clay object is made of."""
+    """The material of a clay object."""
     return read_material(item.tactile_clay)
 
 
@@ -116,8 +117,8 @@ def solver_device(context: bpy.types.Context, device: str | None = None) -> str:
     """The device to compute on: ``cpu`` or ``cuda:0``.
 
     Args:
-        context: Where the preferences are.
-        device: ``auto``, ``cpu`` or ``cuda:0``; the preferences' where not given.
+        context: The context that has the preferences.
+        device: ``auto``, ``cpu`` or ``cuda:0``; by default the preferences decide.
 
     Raises:
         SimulationError: Warp is missing, or there is no such device.
@@ -131,7 +132,7 @@ def solver_device(context: bpy.types.Context, device: str | None = None) -> str:
     if device == "auto":
         return "cuda:0" if cards else "cpu"
     if device != "cpu" and not (device.startswith("cuda:") and device[5:].isdigit()):
-        raise SimulationError(f"There is no device {device!r}. There are: auto, cpu, cuda:0.")
+        raise SimulationError(f"There is no device {device!r}. Choose auto, cpu or cuda:0.")
     if device != "cpu" and int(device[5:]) >= cards:
         raise SimulationError(
             f"This machine has no CUDA device {device!r}. Choose auto or cpu in the preferences."
@@ -140,10 +141,10 @@ def solver_device(context: bpy.types.Context, device: str | None = None) -> str:
 
 
 def checked_material(item: bpy.types.Object) -> Material:
-    """What a clay object is made of.
+    """The material of a clay object.
 
     Raises:
-        SimulationError: A value is out of its range; the message names the object.
+        SimulationError: A value is out of range; the message names the object.
     """
     try:
         return material_of(item)

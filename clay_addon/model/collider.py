@@ -15,7 +15,7 @@ from ..base.mesh_geometry import (
 )
 
 TAKE_TOOL = "clay_take_tool"
-"""Custom property of colliders that show what a tool did in a recorded take."""
+"""Custom property of colliders that replay a tool of a recorded take."""
 
 
 class ColliderError(TactileClayError):
@@ -25,22 +25,22 @@ class ColliderError(TactileClayError):
 def make_collider(
     item: bpy.types.Object, kind: str = "AUTO", friction: float = 0.5
 ) -> bpy.types.Object:
-    """Mark a mesh object as a collider; it may be animated by its transform or its modifiers.
+    """Mark a mesh object as a collider; its transform and modifiers may be animated.
 
     Args:
-        item: A mesh object. A flat one is an endless plane, any other must be closed.
+        item: A mesh object. A flat one can be an endless plane, any other must be closed.
         kind: ``AUTO``, ``MESH`` or ``PLANE``.
         friction: Coulomb friction coefficient.
 
     Raises:
-        ColliderError: The object is no mesh, open, a clay hand, linked from another file, or not
-            of the kind asked for; it stays as it was.
+        ColliderError: The object is not a mesh, open, a clay hand, linked from another file, or
+            not of the requested kind; it is left unchanged.
     """
     if friction < 0 or not np.isfinite(friction):
-        raise ColliderError(f"The friction is {friction!r}; it must be a number of at least 0.")
+        raise ColliderError(f"The friction is {friction!r}; it must be finite and at least 0.")
     if kind not in ("AUTO", "MESH", "PLANE"):
-        raise ColliderError(f"There is no collider kind {kind!r}. There are: AUTO, MESH, PLANE.")
-    _check_kept(item)
+        raise ColliderError(f"There is no collider kind {kind!r}. Choose AUTO, MESH or PLANE.")
+    _check_may_be_collider(item)
     resolve_kind(item, kind, bpy.context.evaluated_depsgraph_get())
     properties = item.tactile_clay
     properties.role = "COLLIDER"
@@ -49,29 +49,29 @@ def make_collider(
     return item
 
 
-def _check_kept(item: bpy.types.Object) -> None:
+def _check_may_be_collider(item: bpy.types.Object) -> None:
     if item.tactile_clay.role == "HAND":
         raise ColliderError(
-            f"{item.name!r} is a clay hand, which works the clay already. To make it a collider, "
+            f"{item.name!r} is a clay hand, which already works the clay. To make it a collider, "
             "press Remove Clay Hand first."
         )
     if item.library is not None:
         raise ColliderError(
-            f"{item.name!r} is linked from another file, so this one would not keep that it is a "
+            f"{item.name!r} is linked from another file, so this file cannot save that it is a "
             "collider. Make it local (Object > Relations > Make Local), or make it a collider "
-            "there."
+            "in that file."
         )
 
 
 def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgraph) -> str:
-    """Whether an object is a ``PLANE`` or a ``MESH`` to the clay.
+    """Resolve ``AUTO`` to ``PLANE`` or ``MESH``, and check that an object can be that.
 
     Raises:
-        ColliderError: It can be neither, or not the kind asked for.
+        ColliderError: It cannot be a collider, or not of the requested kind.
     """
     if item.type != "MESH":
         raise ColliderError(
-            f"{item.name!r} is no mesh ({item.type.lower()}), so it cannot be a collider."
+            f"{item.name!r} is not a mesh ({item.type.lower()}), so it cannot be a collider."
         )
     if is_switched_off(item, depsgraph):
         raise ColliderError(f"{item.name!r} {SWITCHED_OFF}")
@@ -90,14 +90,14 @@ def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgra
 
 
 class CLAY_OT_collider_add(bpy.types.Operator):  # noqa: N801
-    """Let the selected meshes press on the clay; they may be animated"""
+    """Make the selected meshes press on the clay; they may be animated"""
 
     bl_idname = "clay.collider_add"
     bl_label = "Make Collider"
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Mark all selected objects, or none and report why."""
+        """Mark all selected objects; if one cannot be a collider, mark none and report why."""
         chosen = list(context.selected_objects)
         if not chosen:
             self.report({"ERROR"}, "Nothing is selected. Select one or more meshes first.")
@@ -105,7 +105,7 @@ class CLAY_OT_collider_add(bpy.types.Operator):  # noqa: N801
         depsgraph = context.evaluated_depsgraph_get()
         try:
             for item in chosen:
-                _check_kept(item)
+                _check_may_be_collider(item)
                 resolve_kind(item, "AUTO", depsgraph)
             for item in chosen:
                 make_collider(item, "AUTO", item.tactile_clay.collider_friction)
@@ -116,7 +116,7 @@ class CLAY_OT_collider_add(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_collider_remove(bpy.types.Operator):  # noqa: N801
-    """Let the selected objects no longer press on the clay"""
+    """Stop the selected objects from pressing on the clay"""
 
     bl_idname = "clay.collider_remove"
     bl_label = "Remove Collider"

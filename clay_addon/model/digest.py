@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Digests of what decides the result of a bake, to tell what has changed since."""
+"""Digests of everything that affects the result of a bake, to detect what has changed since."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .clay_scene import (
 
 
 def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
-    """A digest for each subject that can be told without looking at the colliders.
+    """A digest for each subject that does not need the colliders to be evaluated.
 
     Raises:
         SimulationError: The clay cannot be simulated.
@@ -41,7 +41,7 @@ def scene_digests(scene: bpy.types.Scene) -> dict[str, str]:
 
 
 def clay_digest(clay: list[bpy.types.Object]) -> str:
-    """A digest of the rest state, whatever the objects are called.
+    """A digest of the clay's starting shape, independent of the objects' names.
 
     Raises:
         SimulationError: The clay cannot be simulated.
@@ -50,7 +50,7 @@ def clay_digest(clay: list[bpy.types.Object]) -> str:
 
 
 def digest_of(*values: Any) -> str:
-    """Thirty-two hexadecimal digits of arrays, numbers and tables."""
+    """A digest, as 32 hexadecimal digits, of arrays, tuples, mappings and plain values."""
     digest = hashlib.blake2b(digest_size=16)
     for value in values:
         if isinstance(value, np.ndarray):

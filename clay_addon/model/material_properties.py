@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The values of a material as properties of a clay object, made from the solver's table of them.
+"""Material values as properties of a clay object, generated from the solver's `MATERIAL_FIELDS`.
 
-A value that may be left out has a switch beside it, named ``use_`` and the value: off, it follows
-another value as the table says.
+An optional value has a switch property, named ``use_`` plus the value's name. While it is off, the
+value follows another one, as its field describes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ...solver.scene.material import MATERIAL_FIELDS, Material, MaterialField
 
 
 def switch_name(field: MaterialField) -> str:
-    """Name of the property that says whether a value that may be left out is given."""
+    """Name of the property that says whether an optional value is given."""
     return f"use_{field.name}"
 
 
@@ -31,10 +31,10 @@ def property_names() -> tuple[str, ...]:
 
 
 def property_declarations(update: Callable[[Any, Any], None]) -> dict[str, Any]:
-    """Declarations of a material's properties, as annotations of a class that Blender registers.
+    """A material's properties, as annotations for a class that Blender registers.
 
     Args:
-        update: Called by Blender when a value has been changed.
+        update: Called by Blender when a value has changed.
     """
     declared: dict[str, Any] = {}
     for field in MATERIAL_FIELDS:
@@ -55,10 +55,10 @@ def property_declarations(update: Callable[[Any, Any], None]) -> dict[str, Any]:
 
 
 def read_material(properties: Any) -> Material:
-    """The material that the properties of a clay object say.
+    """The material described by a clay object's properties.
 
     Raises:
-        ValueError: A value is out of its range.
+        ValueError: A value is out of range.
     """
     return Material(
         **{
@@ -70,7 +70,7 @@ def read_material(properties: Any) -> Material:
 
 
 def write_material(properties: Any, material: Material) -> None:
-    """Set the properties of a clay object to a material."""
+    """Set a clay object's properties to a material."""
     for field in MATERIAL_FIELDS:
         value = getattr(material, field.name)
         if field.is_optional:
@@ -80,7 +80,7 @@ def write_material(properties: Any, material: Material) -> None:
 
 
 def copy_material(source: Any, target: Any) -> None:
-    """Give one clay object's properties the values of another's, where they differ."""
+    """Copy the material properties of one clay object to another, where they differ."""
     for name in property_names():
         if getattr(target, name) != getattr(source, name):
             setattr(target, name, getattr(source, name))
@@ -89,7 +89,7 @@ def copy_material(source: Any, target: Any) -> None:
 def draw_material(layout: bpy.types.UILayout, properties: Any) -> None:
     """Draw a row for each value."""
     column = layout.column(align=True)
-    # Inside the sliders there is room for the units.
+    # Without a split, the sliders have room for labels with units.
     column.use_property_split = False
     for field in MATERIAL_FIELDS:
         if field.is_optional:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Point clouds as clay has them: made at any size, with the attributes of particles."""
+"""Creating point clouds of any size with the attributes of clay particles."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ def make_point_cloud(
     spacing: float,
     name: str,
 ) -> bpy.types.Object:
-    """A point cloud object in the active collection, with the attributes that clay has.
+    """Create a point cloud object in the active collection, with the attributes of clay.
 
     Args:
-        context: Where to make it.
+        context: The context that has the collection.
         points: Positions [Blender units], shape [N, 3].
         colors: Linear RGBA, shape [N, 4].
         spacing: Distance between particles [Blender units].
-        name: Of the object and its points.
+        name: Name of the object and its data.
     """
     count = len(points)
     data = bpy.data.pointclouds.new(name)
-    # The class does not have what its objects have.
+    # Only instances have the attribute, so the class cannot be asked.
     if hasattr(data, "resize"):
         data.resize(count)
         write_attributes(data, points, colors, spacing)
@@ -34,7 +34,7 @@ def make_point_cloud(
         context.collection.objects.link(item)
         return item
     bpy.data.pointclouds.remove(data)
-    # Blender 4.5 can size a point cloud in no other way than to convert a mesh.
+    # In Blender 4.5, converting a mesh is the only way to get a point cloud of a given size.
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(count)
     write_attributes(mesh, points, colors, spacing)
@@ -58,15 +58,15 @@ def make_point_cloud(
 def write_attributes(
     data: bpy.types.ID, points: NDArray[np.float32], colors: NDArray[np.float32], spacing: float
 ) -> None:
-    """Write the attributes that clay has into a point cloud, or a mesh, of N points.
+    """Write the attributes of clay to a point cloud, or a mesh, of N points.
 
     Args:
-        data: What to write into.
+        data: The point cloud or mesh.
         points: Positions [Blender units], shape [N, 3].
         colors: Linear RGBA, shape [N, 4].
         spacing: Distance between particles [Blender units].
     """
-    # The name matters: Cycles shows an attribute named "color" black.
+    # Not "color": Cycles reads an attribute of that name as black.
     radius = np.full(len(points), 0.5 * spacing, np.float32)
     for attribute, kind, key, values in (
         ("position", "FLOAT_VECTOR", "vector", points),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a .blend keeps about its clay: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
+"""The properties that a .blend stores: ``Object.tactile_clay`` and ``Scene.tactile_clay``."""
 
 from typing import Any
 
@@ -19,12 +19,12 @@ from .material_presets import (
 from .material_properties import property_declarations, write_material
 
 MAX_WHEEL_SPEED = 400.0
-"""Highest speed of a potter's wheel, either way [rpm]: more than any has, and less than half a turn
-in the longest step of a live session."""
+"""Maximum speed of a potter's wheel in either direction [rpm]: faster than real wheels, and less
+than half a turn in the longest step of a live session."""
 
 
 class _PresetFill:
-    """Whether values are being set by a preset, which does not make them custom."""
+    """Set while a preset writes the values, which must not turn the preset to Custom."""
 
     active = False
 
@@ -51,7 +51,7 @@ def _show_held(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _tag_object(properties: Any, context: bpy.types.Context) -> None:
-    # Values of add-ons do not reach the evaluated object by themselves.
+    # Blender does not copy changed add-on properties to the evaluated object by itself.
     properties.id_data.update_tag()
 
 
@@ -61,7 +61,7 @@ def _set_wheels(properties: Any, context: bpy.types.Context) -> None:
 
 
 def _get_spacing(properties: Any) -> float:
-    # Half a centimeter whatever the scene's unit scale, until a value is chosen.
+    # 5 mm at any unit scale, until a value is set.
     return properties.spacing_chosen or from_meters(properties.id_data, 0.005)
 
 
@@ -76,14 +76,14 @@ class ClaySource(bpy.types.PropertyGroup):
 
 
 class _MaterialValues:
-    """The values of a material, made from the solver's table of them."""
+    """A property for each value of a material, generated from the solver's table."""
 
     __annotations__ = property_declarations(_become_custom)
 
 
 @overridable
 class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
-    """What an object is to the clay. Lengths are in Blender units, all else in SI units."""
+    """An object's role and its settings. Lengths are in Blender units, all else in SI units."""
 
     role: bpy.props.EnumProperty(
         name="Role",
@@ -97,7 +97,7 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     )
     material_preset: bpy.props.EnumProperty(
         name="Material",
-        description="What the clay is made of; choosing one fills in the values below",
+        description="Material of the clay; choosing a preset fills in the values below",
         items=object_items,
         default=PRESET_DEFAULT_NUMBER,
         update=_fill_from_preset,
@@ -116,28 +116,30 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     )
     take_start: bpy.props.PointerProperty(
         name="Take Start",
-        description="The clay that the last take began with",
+        description="The clay at the start of the last take",
         type=bpy.types.Mesh,
     )
     collider_kind: bpy.props.EnumProperty(
         name="Shape",
-        description="How the clay meets this object",
+        description="Collision shape of this object",
         items=(
-            ("AUTO", "Automatic", "A flat mesh is an endless plane, any other a closed mesh"),
+            ("AUTO", "Automatic", "An endless plane for a flat mesh, otherwise a closed mesh"),
             ("MESH", "Closed mesh", "The mesh itself; it may move and deform"),
-            ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
+            ("PLANE", "Endless plane", "An infinite plane through a flat mesh; it must not move"),
         ),
         default="AUTO",
     )
     collider_enabled: bpy.props.BoolProperty(
         name="Touches Clay",
-        description="Whether the clay feels this object; keyframes can lift a tool off and set it",
+        description="Whether this object touches the clay; keyframes can lift a tool off the clay",
         default=True,
         update=_tag_object,
     )
     collider_friction: bpy.props.FloatProperty(
         name="Friction",
-        description="Coulomb friction coefficient; a contact takes the geometric mean of both",
+        description=(
+            "Coulomb friction coefficient; a contact uses the geometric mean of this and the clay's"
+        ),
         default=0.5,
         min=0.0,
         soft_max=1.0,
@@ -145,8 +147,8 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     collider_adhesion: bpy.props.FloatProperty(
         name="Adhesion (Pa)",
         description=(
-            "Stress at which clay that has touched this object comes off again [Pa]: wet clay "
-            "sticks to a wheel head with some thousand, to a dry tool with none"
+            "Tensile stress at which clay comes off this object [Pa]: several thousand for wet "
+            "clay on a wheel head, 0 for a dry tool"
         ),
         default=0.0,
         min=0.0,
@@ -155,8 +157,8 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     wheel_speed: bpy.props.FloatProperty(
         name="Wheel Speed (rpm)",
         description=(
-            "Turns a minute about the object's own Z axis, as a potter's wheel; keyframes or a "
-            "driver work its pedal"
+            "Revolutions per minute about the object's local Z axis, as a potter's wheel; can be "
+            "keyframed or driven"
         ),
         default=0.0,
         min=-MAX_WHEEL_SPEED,
@@ -167,23 +169,26 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
     )
     wheel_phase: bpy.props.FloatProperty(
         name="Wheel Phase",
-        description="How far the wheel is turned at the first frame",
+        description="Angle of the wheel at the first frame",
         subtype="ANGLE",
         update=_set_wheels,
     )
     wheel_axle: bpy.props.PointerProperty(
-        name="Axle", description="What turns this wheel", type=bpy.types.Object, options={"HIDDEN"}
+        name="Axle",
+        description="Object that turns this wheel",
+        type=bpy.types.Object,
+        options={"HIDDEN"},
     )
 
 
 class ClaySceneProperties(bpy.types.PropertyGroup):
-    """How the clay of a scene is made and baked."""
+    """A scene's settings for making, baking and delivering clay."""
 
     spacing: bpy.props.FloatProperty(
         name="Spacing",
         description=(
-            "Distance between the particles of new clay: half as much shows twice the detail and "
-            "takes about ten times as long"
+            "Distance between the particles of new clay: half the spacing shows twice the detail "
+            "and takes about ten times as long"
         ),
         subtype="DISTANCE",
         unit="LENGTH",
@@ -196,13 +201,13 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     spacing_chosen: bpy.props.FloatProperty(options={"HIDDEN"})
     material_preset: bpy.props.EnumProperty(
         name="Material",
-        description="What new clay is made of",
+        description="Material of new clay",
         items=scene_items,
         default=PRESET_DEFAULT_NUMBER,
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
-        description="Solver steps in each sixtieth of a second; 0 takes the solver's own choice",
+        description="Solver steps per 1/60 second; 0 lets the solver choose",
         default=0,
         min=0,
         max=4096,
@@ -210,8 +215,8 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     motion_samples: bpy.props.IntProperty(
         name="Motion Samples",
         description=(
-            "How often in each frame a bake looks where hands and colliders are: more follows what "
-            "turns back between two frames, and recorded takes"
+            "Times per frame that a bake samples the motion of hands and colliders: more than 1 "
+            "captures motion between frames, as in recorded takes"
         ),
         default=1,
         min=1,
@@ -219,47 +224,50 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
     )
     hands_give_way: bpy.props.BoolProperty(
         name="Hands Give Way",
-        description="Stiff clay stops hands in a bake as it does live; off, they go where keyed",
+        description=(
+            "Stiff clay stops hands in a bake as it does live; otherwise they follow their "
+            "keyframes exactly"
+        ),
         default=False,
     )
     record_take: bpy.props.BoolProperty(
         name="Record Take",
-        description="Record what hands, tools and clay do while you sculpt, for the timeline",
+        description="Record hands, tools and clay while you sculpt, for playback in the timeline",
         default=False,
     )
     take_edits: bpy.props.StringProperty(options={"HIDDEN"})
     film_edits: bpy.props.StringProperty(options={"HIDDEN"})
     film_of: bpy.props.PointerProperty(
         name="Film of",
-        description="The scene whose take this one bakes again",
+        description="Scene with the take that this scene bakes again",
         type=bpy.types.Scene,
     )
     cache_directory: bpy.props.StringProperty(
         name="Cache",
-        description="Folder of the bake; // is the folder of the .blend file",
+        description="Folder for the bake; // is the folder of the .blend file",
         subtype="DIR_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_cache",
     )
     delivery_directory: bpy.props.StringProperty(
         name="Folder",
-        description="Folder of the delivered files; // is the folder of the .blend file",
+        description="Folder for delivered files; // is the folder of the .blend file",
         subtype="DIR_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         default="//clay_delivery",
     )
     delivery_kind: bpy.props.EnumProperty(
         name="Format",
-        description="What is written, and played in place of the clay",
+        description="Format of the delivered files, which are played in place of the clay",
         items=(
-            ("usd", "USD", "Surface, colors and velocities, so that there is motion blur"),
-            ("abc", "Alembic", "Surface and colors of eight bits; no motion blur"),
+            ("usd", "USD", "Surface, colors and velocities for motion blur"),
+            ("abc", "Alembic", "Surface and 8-bit colors; no motion blur"),
         ),
         default="usd",
     )
     delivery_points: bpy.props.BoolProperty(
         name="Particles Too",
-        description="Write the particles beside the surface, for other programs (USD only)",
+        description="Also write the particles, for other programs (USD only)",
         default=False,
     )
     use_scene_range: bpy.props.BoolProperty(
@@ -268,14 +276,14 @@ class ClaySceneProperties(bpy.types.PropertyGroup):
         default=True,
     )
     frame_start: bpy.props.IntProperty(
-        name="Start", description="First frame: the clay as it was made", default=1
+        name="Start", description="First frame to bake: the clay's starting shape", default=1
     )
     frame_end: bpy.props.IntProperty(name="End", description="Last frame to bake", default=250)
     hold_frames: bpy.props.IntProperty(
         name="Hold",
         description=(
-            "Frames that each simulated shape is held for: 1 shows all, 2 animates on twos. The "
-            "simulation itself stays as it is"
+            "Number of frames for which each simulated shape is held: 1 shows every frame, 2 "
+            "animates on twos. The simulation itself does not change"
         ),
         default=1,
         min=1,
@@ -296,7 +304,7 @@ _CLASSES = (ClaySource, ClayObjectProperties, ClaySceneProperties)
 
 
 def register() -> None:
-    """Register the property groups and hang them on objects and scenes."""
+    """Register the property groups and add them to objects and scenes."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.Object.tactile_clay = bpy.props.PointerProperty(
@@ -306,7 +314,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Take the property groups away; what a .blend keeps stays in it."""
+    """Remove the property groups; the values in the .blend remain."""
     del bpy.types.Scene.tactile_clay
     del bpy.types.Object.tactile_clay
     for cls in reversed(_CLASSES):

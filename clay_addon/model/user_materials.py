@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of the user's own: TOML files in a folder that Blender keeps for its user.
+"""The user's own materials: TOML files in Blender's user folder.
 
-They look like those in ``presets/materials``: a label, and a ``[material]`` table with the values
-of a `Material`.
+They have the format of those in ``presets/materials``: a label, and a ``[material]`` table with
+the values of a `Material`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ..base.preferences import ADDON
 from ..core.storage.whole_files import replace_text
 
 RESERVED_NAMES = ("CUSTOM", "SCENE")
-"""Names that the interface uses for something else."""
-LABEL_LENGTH = 40
-"""Most letters in a label: more do not fit into the panel."""
+"""Names that the interface uses for other items."""
+MAX_LABEL_LENGTH = 40
+"""Maximum number of characters in a label: more do not fit in the panel."""
 
-_FRESH_SECONDS = 1.0
-"""The folder is looked at no more often than this [s]: a panel is drawn constantly."""
+_REFRESH_SECONDS = 1.0
+"""Minimum time between two scans of the folder [s]: Blender redraws panels constantly."""
 _DEVICE_NAMES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)$")
 
 
@@ -41,35 +41,35 @@ class UserMaterialError(TactileClayError):
 
 @dataclass(frozen=True)
 class UserMaterial:
-    """A material that the user has saved."""
+    """A material saved by the user."""
 
     name: str
-    """Of its file, without ``.toml``."""
+    """Name of its file, without ``.toml``."""
     label: str
-    """What it is called in the interface."""
+    """Name in the interface."""
     material: Material
     """Its values."""
 
 
 @dataclass(frozen=True)
 class UserMaterials:
-    """What a folder holds."""
+    """The contents of a folder of materials."""
 
     materials: tuple[UserMaterial, ...]
-    """The good ones, by name."""
+    """The valid ones, sorted by name."""
     problems: tuple[str, ...]
-    """What is wrong with the others: a sentence each, that names the file."""
+    """A message for each invalid file, which names it."""
 
 
 def material_number(name: str) -> int:
-    """The number that a .blend keeps for a preset: the same whatever other presets there are."""
+    """The number that a .blend stores for a preset, independent of which other presets exist."""
     return zlib.crc32(name.encode()) & 0xFFFFFF
 
 
 def user_material_folder() -> Path:
-    """Where the user's materials are; it need not be there yet."""
+    """The folder of the user's materials; it may not exist yet."""
     try:
-        # Known only where the add-on is installed as an extension.
+        # Defined only if the add-on is installed as an extension.
         folder = bpy.utils.extension_path_user(ADDON, path="materials")
     except ValueError:
         folder = bpy.utils.user_resource("DATAFILES", path="tactile_clay/materials")
@@ -77,10 +77,10 @@ def user_material_folder() -> Path:
 
 
 def read_user_materials(folder: Path) -> UserMaterials:
-    """Read all materials of a folder; a bad file keeps no good one away.
+    """Read all materials of a folder; invalid files do not affect the valid ones.
 
     Args:
-        folder: Where they are; nothing is in one that does not exist.
+        folder: The folder; one that does not exist counts as empty.
     """
     materials: list[UserMaterial] = []
     problems: list[str] = []
@@ -95,13 +95,13 @@ def read_user_materials(folder: Path) -> UserMaterials:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
             named = reason if path.name in str(reason) else f"{path.name}: {reason}"
-            problems.append(f"{named} Mend or delete the file.")
+            problems.append(f"{named} Fix or delete the file.")
             continue
         number = material_number(found.name)
         if number in taken or found.name in RESERVED_NAMES:
             other = taken.get(number, found.name)
             problems.append(
-                f"{path.name} cannot be told from the preset {other!r}. Give the file another name."
+                f"{path.name} conflicts with the preset {other!r}. Give the file another name."
             )
             continue
         taken[number] = found.name
@@ -118,12 +118,12 @@ def _read(path: Path) -> UserMaterial:
             raise ValueError(f"{field.name} is {value:g}; it must be at least {field.minimum:g}.")
     label = table.get("label", path.stem)
     if not isinstance(label, str) or not label.strip():
-        raise ValueError(f"label is {label!r}; it must be a text.")
-    return UserMaterial(path.stem, label.strip()[:LABEL_LENGTH], material)
+        raise ValueError(f"label is {label!r}; it must be a non-empty string.")
+    return UserMaterial(path.stem, label.strip()[:MAX_LABEL_LENGTH], material)
 
 
-class _MaterialShelf:
-    """The user's materials as they were last read."""
+class _MaterialCache:
+    """The user's materials as last read, and when."""
 
     def __init__(self) -> None:
         self._read_at = -math.inf
@@ -133,7 +133,7 @@ class _MaterialShelf:
     def materials(self) -> UserMaterials:
         """The materials, at most a second old."""
         now = time.monotonic()
-        if now - self._read_at >= _FRESH_SECONDS:
+        if now - self._read_at >= _REFRESH_SECONDS:
             folder = user_material_folder()
             signature = (folder, _signature(folder))
             if signature != self._signature:
@@ -142,20 +142,20 @@ class _MaterialShelf:
         return self._materials
 
     def forget(self) -> None:
-        """Look at the folder again when next asked, however soon."""
+        """Scan the folder again at the next request, however soon."""
         self._read_at, self._signature = -math.inf, None
 
 
-_shelf = _MaterialShelf()
+_cache = _MaterialCache()
 
 
 def user_materials() -> UserMaterials:
     """The user's materials, at most a second old."""
-    return _shelf.materials()
+    return _cache.materials()
 
 
 def _signature(folder: Path) -> tuple[tuple[str, int, int], ...]:
-    """Names, times and sizes of the files: what tells whether to read them again."""
+    """Names, modification times and sizes of the files, to detect changes."""
     try:
         with os.scandir(folder) as entries:
             found = [(entry.name, entry.stat()) for entry in entries]
@@ -165,27 +165,28 @@ def _signature(folder: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def forget_user_materials() -> None:
-    """Look at the folder again when next asked, however soon."""
-    _shelf.forget()
+    """Scan the folder again at the next request, however soon."""
+    _cache.forget()
 
 
 def save_user_material(label: str, material: Material, *, replace: bool = False) -> UserMaterial:
-    """Write a material into the user's folder, whole or not at all.
+    """Write a material to the user's folder, atomically.
 
     Args:
-        label: What to call it.
+        label: Name in the interface.
         material: Its values.
-        replace: Whether one of the same name may be overwritten.
+        replace: Whether to overwrite a material with the same name.
 
     Raises:
-        UserMaterialError: The label is empty, too long or taken, or the file cannot be written.
+        UserMaterialError: The label is empty, not printable, too long or taken, or the file cannot
+            be written.
     """
     label = " ".join(label.split())
     if not label.isprintable() or not label:
-        raise UserMaterialError("The material needs a name of letters, digits or signs.")
-    if len(label) > LABEL_LENGTH:
+        raise UserMaterialError("The material needs a name of printable characters.")
+    if len(label) > MAX_LABEL_LENGTH:
         raise UserMaterialError(
-            f"The name has {len(label)} letters; use at most {LABEL_LENGTH} of them."
+            f"The name has {len(label)} characters; use at most {MAX_LABEL_LENGTH}."
         )
     name = _file_name(label)
     if name in Material.preset_names():
@@ -196,13 +197,13 @@ def save_user_material(label: str, material: Material, *, replace: bool = False)
     path = folder / f"{name}.toml"
     if path.exists() and not replace:
         raise UserMaterialError(
-            f"There is a material {label!r} already. Choose another name, or tick Replace."
+            f"There is already a material {label!r}. Choose another name, or enable Replace."
         )
     number = material_number(name)
     for other in (*Material.preset_names(), *(each.name for each in user_materials().materials)):
         if other != name and material_number(other) == number:
-            raise UserMaterialError(f"{label!r} cannot be told from {other!r}. Choose another.")
-    # JSON's strings are TOML's, for printable text.
+            raise UserMaterialError(f"{label!r} conflicts with {other!r}. Choose another name.")
+    # For printable text, JSON and TOML strings are the same.
     text = f"label = {json.dumps(label, ensure_ascii=False)}\n\n{material.to_toml()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -214,27 +215,27 @@ def save_user_material(label: str, material: Material, *, replace: bool = False)
 
 
 def _file_name(label: str) -> str:
-    """A name that every file system takes, from a label."""
+    """A file name valid on every file system, made from a label."""
     plain = unicodedata.normalize("NFKD", label).encode("ascii", "ignore").decode()
     name = re.sub(r"[^a-z0-9]+", "_", plain.lower()).strip("_")
-    # Letters that have no plain form count, too.
+    # If many letters have no ASCII form, a hash keeps names distinct.
     if name == "" or len(plain.strip()) < len(label) / 2:
         name = f"{name}_{zlib.crc32(label.encode()):08x}".strip("_")
     return f"{name}_" if _DEVICE_NAMES.match(name) else name
 
 
 def remove_user_material(name: str) -> None:
-    """Delete a material of the user's.
+    """Delete one of the user's materials.
 
     Args:
-        name: Of its file, without ``.toml``.
+        name: Name of its file, without ``.toml``.
 
     Raises:
-        UserMaterialError: There is none of that name, or it cannot be deleted.
+        UserMaterialError: There is no such material, or it cannot be deleted.
     """
     if name not in (each.name for each in read_user_materials(user_material_folder()).materials):
         raise UserMaterialError(
-            f"{name!r} is no material of yours. Only those that you have saved can be removed."
+            f"{name!r} is not one of your materials. Only materials you saved can be removed."
         )
     path = user_material_folder() / f"{name}.toml"
     try:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Showing baked, packed and keyed clay on the timeline."""
+"""Playing baked, packed and keyed clay on the timeline."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pack Playback: baked frames inside the .blend, played by stock nodes.
+"""Pack Playback: baked frames stored in the .blend and played by Blender's own nodes.
 
 Every frame is a vector attribute of the point cloud, and a geometry nodes modifier moves the points
-to the attribute of the scene's frame. So the file plays and renders where neither the add-on nor
-the cache is there.
+to the attribute of the scene's frame. So the file plays and renders without add-on and cache.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _FRAME = "Frame"
 _MARK = "tactile_clay_playback"
 _VERSION = 3
 _FLOAT_EXACT = 2**24
-"""Frames beyond this cannot be told apart by the nodes."""
+"""Largest frame number that the nodes, which compute in single precision, represent exactly."""
 
 
 class PackError(TactileClayError, ValueError):
@@ -39,20 +38,20 @@ class PackError(TactileClayError, ValueError):
 
 
 def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int = 1) -> None:
-    """Store frames in a point cloud and let it play them.
+    """Store frames in a point cloud and make it play them.
 
-    Before the first frame it shows the first, after the last the last, and between two frames (of
-    motion blur, say) the mean of both. Frames packed before are replaced; when an error is raised
-    nothing has changed. The point cloud's own positions stay as they are.
+    It shows the first frame before the range, the last one after it, and interpolates linearly at
+    subframes, as for motion blur. Previously packed frames are replaced; if an error is raised,
+    nothing has changed. The point cloud's own positions do not change.
 
     Args:
         clay: Point cloud object.
         frames: Positions in the object's coordinates [Blender units], shape [N, 3], by frame
-            number, without gaps: every `hold`-th number.
-        hold: Frames that each is shown for; above 1 it is held, and nothing is shown between two.
+            number: every `hold`-th frame without gaps.
+        hold: Number of frames for which each shape is held; above 1 without interpolation.
 
     Raises:
-        PackError: if the object is no point cloud or linked from another file, or frames are
+        PackError: The object is not a point cloud or is linked from another file, or frames are
             missing, of the wrong shape, or not finite.
     """
     checked = _checked_frames(clay, frames, hold)
@@ -73,7 +72,7 @@ def pack(clay: bpy.types.Object, frames: Mapping[int, ArrayLike], *, hold: int =
 
 
 def unpack(clay: bpy.types.Object) -> bool:
-    """Take packed frames out of an object again.
+    """Remove packed frames from an object.
 
     Returns:
         Whether there were any.
@@ -94,15 +93,15 @@ def pack_bake(scene: bpy.types.Scene, cache: Cache | None = None) -> dict[str, i
     """Pack all baked frames of a scene's clay.
 
     Args:
-        scene: Where the clay is.
-        cache: The bake; the scene's where not given.
+        scene: The scene.
+        cache: The bake; by default the scene's.
 
     Returns:
-        Numbers of the first and last frame, of objects, and of bytes packed.
+        ``frame_start`` and ``frame_end``, and the number of ``objects`` and ``bytes`` packed.
 
     Raises:
-        PackError: if there is no clay, no bake, a bake of other clay, or a missing frame.
-        CacheError: if the cache cannot be read.
+        PackError: There is no clay or no bake, it is of different clay, or a frame is missing.
+        CacheError: The cache cannot be read.
     """
     clay = clay_objects(scene)
     if not clay:
@@ -193,7 +192,7 @@ def _checked_frames(
     missing = [number for number in range(first, last + 1, hold) if number not in frames]
     if missing:
         raise PackError(
-            f"{len(missing)} frames are missing between {first} and {last}, the first of them"
+            f"{len(missing)} frames are missing between {first} and {last}, starting with"
             f" {missing[0]}. Resume the bake, then pack again."
         )
     if max(abs(first), abs(last)) > _FLOAT_EXACT:
@@ -204,7 +203,7 @@ def _checked_frames(
         positions = np.ascontiguousarray(frames[number], dtype=np.float32)
         if positions.shape != shape:
             raise PackError(
-                f"Frame {number} has positions of the shape {positions.shape},"
+                f"Frame {number} has positions of shape {positions.shape}, but"
                 f" {clay.name!r} needs {shape}."
             )
         if not np.isfinite(positions).all():
@@ -214,13 +213,13 @@ def _checked_frames(
 
 
 def _remove_attributes(clay: bpy.types.Object) -> None:
-    # By name each time: removing one may move the others in memory.
+    # Look up each by name: removing one may move the others in memory.
     for name in packed_attributes(clay):
         clay.data.attributes.remove(clay.data.attributes[name])
 
 
 def _playback_group() -> bpy.types.NodeTree:
-    """Return the node group of the playback, made at the first call."""
+    """The node group for playback, created at the first call."""
     for tree in bpy.data.node_groups:
         if tree.get(_MARK) == _VERSION and tree.library is None:
             return tree
@@ -263,7 +262,7 @@ def _playback_group() -> bpy.types.NodeTree:
     link(moment.outputs[0], clamped.inputs["Value"])
     link(given.outputs["First Frame"], clamped.inputs["Min"])
     link(given.outputs["Last Frame"], clamped.inputs["Max"])
-    # Held for n frames: the first frame plus a multiple of n, where n is above 1.
+    # If held for n > 1 frames, round down to the first frame plus a multiple of n.
     since = scalar("SUBTRACT", -1200, -300)
     link(clamped.outputs[0], since.inputs[0])
     link(given.outputs["First Frame"], since.inputs[1])
@@ -297,7 +296,7 @@ def _playback_group() -> bpy.types.NodeTree:
     change = node("ShaderNodeVectorMath", -200, -150, operation="SUBTRACT")
     link(places[1], change.inputs[0])
     link(places[0], change.inputs[1])
-    # At a whole frame this adds nothing at all, so the positions come out bit for bit.
+    # At a whole frame this adds exactly 0, so the positions are bit-identical.
     blend = node("ShaderNodeVectorMath", 0, 0, operation="MULTIPLY_ADD")
     link(change.outputs[0], blend.inputs[0])
     link(fraction.outputs[0], blend.inputs[1])
@@ -311,7 +310,7 @@ def _playback_group() -> bpy.types.NodeTree:
 
 
 class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
-    """Store the baked frames in the .blend, so that it plays without the add-on and its cache"""
+    """Store the baked frames in the .blend, so that it plays without the add-on and the cache"""
 
     bl_idname = "clay.pack"
     bl_label = "Pack Playback"
@@ -319,11 +318,11 @@ class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
+        """Available if there is clay."""
         return bool(clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Pack, or report why not."""
+        """Pack the frames, or report why they cannot be packed."""
         try:
             packed = pack_bake(context.scene)
         except (PackError, CacheError) as error:
@@ -331,14 +330,14 @@ class CLAY_OT_pack(bpy.types.Operator):  # noqa: N801
             return {"CANCELLED"}
         self.report(
             {"INFO"},
-            f"Frames {packed['frame_start']} to {packed['frame_end']} packed"
+            f"Packed frames {packed['frame_start']} to {packed['frame_end']}"
             f" ({packed['bytes'] / 1e6:.1f} MB). Save the file to keep them.",
         )
         return {"FINISHED"}
 
 
 class CLAY_OT_unpack(bpy.types.Operator):  # noqa: N801
-    """Take the packed frames out of the .blend again; the clay plays from its cache"""
+    """Remove the packed frames from the .blend; the clay plays from its cache again"""
 
     bl_idname = "clay.unpack"
     bl_label = "Unpack Playback"
@@ -346,14 +345,14 @@ class CLAY_OT_unpack(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is packed clay."""
+        """Available if there is packed clay."""
         return any(is_packed(item) for item in clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Unpack all clay of the scene."""
         count = sum(unpack(item) for item in clay_objects(context.scene))
         refresh(context.scene)
-        self.report({"INFO"}, f"{count} clay objects play from the cache again")
+        self.report({"INFO"}, f"{count} clay objects now play from the cache")
         return {"FINISHED"}
 
 

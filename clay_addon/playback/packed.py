@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frames that are packed in point clouds: which clay has them, and what it shows."""
+"""Reading frames packed in point clouds."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from ..clay.look import get_input
 
 MODIFIER_NAME = "Clay Playback"
 FRAME_ATTRIBUTE = ".clay_frame_"
-"""A leading dot keeps hundreds of attributes out of the lists in the interface."""
+"""Name prefix; the leading dot hides hundreds of attributes from lists in the interface."""
 
 
 def is_packed(clay: bpy.types.Object) -> bool:
-    """Return whether an object plays frames packed inside the .blend.
+    """Whether an object plays frames packed in the .blend.
 
-    Its point cloud then needs nothing from a cache: writing to its positions would change nothing
-    that is seen.
+    It then needs no cache, and writing to its positions has no visible effect.
     """
     modifier = clay.modifiers.get(MODIFIER_NAME)
     return (
@@ -33,11 +32,11 @@ def is_packed(clay: bpy.types.Object) -> bool:
 
 
 def packed_positions(clay: bpy.types.Object, frame: float) -> NDArray[np.float32]:
-    """Return the positions that a packed object shows at a frame.
+    """The positions that a packed object shows at a frame.
 
     Args:
-        clay: An object for which `is_packed` holds.
-        frame: Frame number, with a fraction between two frames.
+        clay: An object for which `is_packed` is true.
+        frame: Frame number, which may be fractional.
 
     Returns:
         Positions in the object's coordinates [Blender units], shape [N, 3].
@@ -48,7 +47,7 @@ def packed_positions(clay: bpy.types.Object, frame: float) -> NDArray[np.float32
     try:
         hold = get_input(clay.modifiers[MODIFIER_NAME], "Hold")
     except KeyError:
-        # Packed before shapes could be held.
+        # Packed by a version that could not hold shapes.
         hold = 1
     if hold > 1:
         frame = first + math.floor((frame - first) / hold) * hold

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Playback: the baked frame is written into the point cloud whenever the frame changes."""
+"""Playback: writes the baked frame to the point clouds whenever the scene's frame changes."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ from ..model.digest import clay_digest
 from .packed import is_packed
 
 
-class Timeline:
-    """What playback keeps between two frames."""
+class PlaybackState:
+    """State of playback that persists between frame changes."""
 
     def __init__(self) -> None:
         self.messages: dict[str, str] = {}
-        """What is wrong with the frame shown, by the scene's name."""
-        self.pauses = 0
-        """How many `paused` contexts are open."""
+        """What is wrong with the displayed frame, by scene name."""
+        self.pause_count = 0
+        """Number of open `paused` contexts."""
         self._playbacks: dict[Path, Playback] = {}
 
     def playback(self, scene: bpy.types.Scene) -> Playback | None:
-        """The playback of a scene's cache; None where the folder is not known."""
+        """The playback of a scene's cache; None if the scene has no cache folder."""
         cache = cache_of(scene)
         if cache is None:
             return None
         return self._playbacks.setdefault(cache.directory, Playback(cache))
 
     def forget(self) -> None:
-        """Drop what was read, and all messages."""
+        """Drop all cached frames and messages."""
         self.messages.clear()
         self._playbacks.clear()
 
 
-timeline = Timeline()
-"""One for the process, since Blender calls its handlers without any state."""
+playback_state = PlaybackState()
+"""One per process, as Blender's handlers cannot carry state."""
 
 
 def cache_of(scene: bpy.types.Scene) -> Cache | None:
-    """The scene's cache; None where its folder is unknown, as in a .blend that was never saved."""
+    """The scene's cache; None if it has no folder, as in a .blend that was never saved."""
     try:
         return Cache(resolve_directory(scene))
     except CacheFolderError:
@@ -64,8 +64,8 @@ def cache_of(scene: bpy.types.Scene) -> Cache | None:
 
 
 def message(scene: bpy.types.Scene) -> str:
-    """What is wrong with the frame shown; empty where nothing is."""
-    return timeline.messages.get(scene.name, "")
+    """What is wrong with the displayed frame; empty if nothing is."""
+    return playback_state.messages.get(scene.name, "")
 
 
 def refresh(
@@ -82,38 +82,37 @@ def refresh(
         during_bake: Show it although playback is `paused`.
     """
     clay = clay_objects(scene)
-    if not clay or (timeline.pauses and not during_bake):
+    if not clay or (playback_state.pause_count and not during_bake):
         return
     if all(is_packed(item) for item in clay):
-        # The file plays by itself, and must do so where the cache is gone.
-        timeline.messages.pop(scene.name, None)
+        # The .blend plays by itself, and must do so even without the cache.
+        playback_state.messages.pop(scene.name, None)
         return
     try:
-        timeline.messages.pop(scene.name, None)
+        playback_state.messages.pop(scene.name, None)
         _show(scene, clay, depsgraph)
     except CacheError as error:
-        # The last good shape stays.
-        timeline.messages[scene.name] = f"Frame {scene.frame_current}: {error}."
+        # The last good shape stays visible.
+        playback_state.messages[scene.name] = f"Frame {scene.frame_current}: {error}."
 
 
 def shown_frame(scene: bpy.types.Scene) -> int | None:
-    """The baked frame shown at the scene's current one; None where that is the rest state.
+    """The baked frame shown at the scene's current frame; None if the rest state is shown.
 
-    Before the first baked frame that is the first, after the last the last; in between, one may be
-    held for some frames.
+    The first and last baked frames extend beyond the range; in between, shapes may be held.
     """
     if all(is_packed(item) for item in clay_objects(scene)):
         return scene.frame_current
-    playback = timeline.playback(scene)
+    playback = playback_state.playback(scene)
     frames = playback.frames() if playback else []
     return _wanted(scene, frames) if frames else None
 
 
 def show_rest(scene: bpy.types.Scene) -> None:
-    """Show the clay as it was before it was baked.
+    """Show the clay's starting shape, as it was before the bake.
 
-    What has been done to its points while it showed that (Apply Transform, Set Origin, Join, Edit
-    Mode) belongs to it from now on.
+    Edits made to the points while they showed that shape (Apply Transform, Set Origin, Join, Edit
+    Mode) become part of it.
     """
     for item in clay_objects(scene):
         rest = read_points(item, "rest_position")
@@ -129,12 +128,12 @@ def show_rest(scene: bpy.types.Scene) -> None:
 
 @contextmanager
 def paused() -> Iterator[None]:
-    """Leave the point clouds alone while the frame changes inside the context."""
-    timeline.pauses += 1
+    """Do not update the point clouds when the frame changes within the context."""
+    playback_state.pause_count += 1
     try:
         yield
     finally:
-        timeline.pauses -= 1
+        playback_state.pause_count -= 1
 
 
 def _show(
@@ -142,7 +141,7 @@ def _show(
     clay: list[bpy.types.Object],
     depsgraph: bpy.types.Depsgraph | None,
 ) -> None:
-    playback = timeline.playback(scene)
+    playback = playback_state.playback(scene)
     frames = playback.frames() if playback else []
     if playback is None or not frames:
         show_rest(scene)
@@ -157,7 +156,7 @@ def _show(
     if not is_bake_of(meta, clay):
         show_rest(scene)
         names = ", ".join(f"{part.name} ({part.count:,} particles)" for part in meta.clay)
-        raise CacheError(f"the bake is of other clay: {names}. Bake again")
+        raise CacheError(f"the bake is of different clay: {names}. Bake again")
     wanted = _wanted(scene, frames)
     if wanted not in frames:
         raise CacheMissingError("it is missing in the bake. Press Resume")
@@ -217,14 +216,14 @@ def _on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | No
 
 @persistent
 def _on_reload(*_: object) -> None:
-    timeline.forget()
-    later.ask(_show_all)
+    playback_state.forget()
+    later.schedule(_show_all)
 
 
 def _show_all() -> None:
     for scene in bpy.data.scenes:
         if clay_objects(scene):
-            # Right after loading, and after Undo, the objects' world matrices are not there yet.
+            # After loading and Undo, the objects' world matrices are not up to date yet.
             for layer in scene.view_layers:
                 layer.update()
             refresh(scene)
@@ -239,13 +238,13 @@ _HANDLERS = (
 
 
 def register() -> None:
-    """Add the handlers, each once."""
+    """Add the handlers and listen for changed hold lengths."""
     add_handlers(_HANDLERS)
     held_frames_changed.connect(refresh)
 
 
 def unregister() -> None:
-    """Remove the handlers."""
+    """Remove the handlers and forget all state."""
     held_frames_changed.disconnect(refresh)
     remove_handlers(_HANDLERS)
-    timeline.forget()
+    playback_state.forget()

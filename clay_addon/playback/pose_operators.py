@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keying sculpted shapes on the timeline, taking keys away, and sculpting on from one."""
+"""Operators for keying sculpted shapes, removing keys, and continuing to sculpt a keyed shape."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from ..base.clock import shown_moment
 from ..model.clay_scene import clay_objects, read_points
 from .packed import is_packed, packed_positions
-from .poses import PoseError, has_poses, key_clay, key_pose, pose_at, remove_key, take_pose
+from .poses import PoseError, apply_pose, has_poses, key_clay, key_pose, pose_at, remove_key
 
 
 def chosen_clay(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """The selected clay; all of the scene where none is selected."""
+    """The selected clay, or all clay of the scene if none is selected."""
     clay = clay_objects(context.scene)
     return [item for item in clay if item in context.selected_objects] or clay
 
 
 def own_positions(scene: bpy.types.Scene, clay: bpy.types.Object) -> NDArray[np.float32]:
-    """The shape of a clay object itself at the current frame, sculpted or simulated.
+    """A clay object's own shape at the current frame, sculpted or simulated, ignoring poses.
 
     Returns:
         Positions in the object's coordinates [Blender units], shape [N, 3].
 
     Raises:
-        PoseError: if it has none.
+        PoseError: It has no particles.
     """
     if is_packed(clay):
         return packed_positions(clay, shown_moment(scene))
@@ -40,13 +40,13 @@ def own_positions(scene: bpy.types.Scene, clay: bpy.types.Object) -> NDArray[np.
 
 
 def key_shapes(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Key the present shape of the chosen clay at the current frame.
+    """Key the current shape of the selected clay, or of all clay, at the current frame.
 
     Returns:
         The clay that was keyed.
 
     Raises:
-        PoseError: if there is no clay, or a shape cannot be kept. Nothing is keyed then.
+        PoseError: There is no clay, or a shape cannot be keyed.
     """
     scene = context.scene
     clay = chosen_clay(context)
@@ -59,14 +59,14 @@ def key_shapes(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 
 class _PoseOperator:
-    """What the operators share."""
+    """Common parts of the operators."""
 
     report: Any
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
+        """Available if there is clay."""
         return bool(clay_objects(context.scene))
 
     def _each(self, context: bpy.types.Context, act: Callable[[Any], bool], nothing: str) -> Any:
@@ -82,13 +82,13 @@ class _PoseOperator:
 
 
 class CLAY_OT_pose_key(_PoseOperator, bpy.types.Operator):  # noqa: N801
-    """Keep the present shape of the clay as a key at this frame, held until the next one"""
+    """Insert a keyframe with the current shape of the clay, held until the next keyframe"""
 
     bl_idname = "clay.pose_key"
     bl_label = "Key This Pose"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Key the selected clay, or all."""
+        """Key the selected clay, or all clay."""
         try:
             keyed = key_shapes(context)
         except PoseError as error:
@@ -100,23 +100,23 @@ class CLAY_OT_pose_key(_PoseOperator, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_pose_release(_PoseOperator, bpy.types.Operator):  # noqa: N801
-    """From this frame on show the clay itself, simulated or sculpted, not a keyed pose"""
+    """From this frame on, show the simulated or sculpted clay instead of a keyed pose"""
 
     bl_idname = "clay.pose_release"
     bl_label = "Key the Clay Itself"
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Key the selected clay, or all."""
+        """Key the selected clay, or all clay."""
 
         def act(item: bpy.types.Object) -> bool:
             key_clay(item, time=context.scene.frame_current_final)
             return has_poses(item)
 
-        return self._each(context, act, "No pose is keyed, so the clay itself is shown already.")
+        return self._each(context, act, "No pose is keyed, so the clay itself is already shown.")
 
 
 class CLAY_OT_pose_remove(_PoseOperator, bpy.types.Operator):  # noqa: N801
-    """Remove the key of the clay's pose at this frame"""
+    """Remove the clay's keyed pose at this frame"""
 
     bl_idname = "clay.pose_remove"
     bl_label = "Remove Pose"
@@ -132,7 +132,7 @@ class CLAY_OT_pose_remove(_PoseOperator, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_pose_take(_PoseOperator, bpy.types.Operator):  # noqa: N801
-    """Make the pose that is shown the clay itself, to go on sculpting or to bake from it"""
+    """Replace the clay with the displayed pose, to sculpt it further or bake from it"""
 
     bl_idname = "clay.pose_take"
     bl_label = "Work on This Pose"
@@ -142,7 +142,7 @@ class CLAY_OT_pose_take(_PoseOperator, bpy.types.Operator):  # noqa: N801
         time = context.scene.frame_current_final
         return self._each(
             context,
-            lambda item: pose_at(item, time) is not None and take_pose(item, time=time),
+            lambda item: pose_at(item, time) is not None and apply_pose(item, time=time),
             "No keyed pose is shown at this frame.",
         )
 

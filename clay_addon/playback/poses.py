@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Stop motion: sculpted shapes as keys on the timeline.
+"""Stop motion: sculpted shapes as keyframes on the timeline.
 
-Each keyed shape is a separate point cloud that keeps its particles and colors, so their
-number may differ from key to key. A geometry nodes modifier on the clay shows the one whose number
-its input *Pose* has; 0 is the clay itself, simulated or sculpted. That input carries ordinary
-keyframes with constant interpolation: in the dope sheet they are moved, copied and deleted like any
-others. All of it is stock nodes, so it plays and renders where the add-on is not.
+Each keyed shape, or pose, is a separate point cloud with its own particles and colors, so the
+number of particles may differ between keys. A geometry nodes modifier on the clay selects a pose
+by its input *Pose*; 0 is the clay itself, simulated or sculpted. That input has ordinary keyframes
+with constant interpolation, which can be moved, copied and deleted in the Dope Sheet. Only
+Blender's own nodes are used, so it plays and renders without the add-on.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SAME_TIME = 0.01
 
 
 class PoseError(TactileClayError, ValueError):
-    """A pose cannot be keyed or taken; the message says why and what to do."""
+    """A pose cannot be keyed or applied; the message says why and what to do."""
 
 
 def has_poses(clay: bpy.types.Object) -> bool:
@@ -41,7 +41,7 @@ def has_poses(clay: bpy.types.Object) -> bool:
 
 
 def pose_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
-    """The modifier that shows an object's keyed shapes; None where it has none."""
+    """The modifier that shows an object's keyed shapes; None if it has none."""
     for modifier in clay.modifiers:
         group = modifier.node_group if modifier.type == "NODES" else None
         if group is not None and group.get(_MARK) == _VERSION:
@@ -64,7 +64,7 @@ def pose_at(clay: bpy.types.Object, time: float) -> bpy.types.Object | None:
     return _poses(modifier).get(round(value))
 
 
-def plays_itself(clay: bpy.types.Object, time: float) -> bool:
+def needs_no_cache(clay: bpy.types.Object, time: float) -> bool:
     """Whether what an object shows at a time is in the .blend: packed, or keyed as a pose."""
     return is_packed(clay) or pose_at(clay, time) is not None
 
@@ -92,8 +92,8 @@ def key_pose(
         The point cloud object that holds the shape. It is in no collection.
 
     Raises:
-        PoseError: if the object is no point cloud or linked from another file, or the shape is not
-            finite or of another number of points than it has.
+        PoseError: The object is not a point cloud or is linked from another file, or the shape is
+            not finite or has a different number of points.
     """
     _check(clay, positions)
     data = clay.data.copy()
@@ -147,7 +147,7 @@ def remove_key(clay: bpy.types.Object, *, time: float) -> bool:
 
 
 def remove_poses(clay: bpy.types.Object) -> None:
-    """Take all keyed shapes out of an object; it shows itself again."""
+    """Remove all keyed shapes from an object, which then shows its own points again."""
     modifier = pose_modifier(clay)
     if modifier is None:
         return
@@ -165,14 +165,14 @@ def remove_poses(clay: bpy.types.Object) -> None:
             _delete(pose)
 
 
-def take_pose(clay: bpy.types.Object, *, time: float) -> bool:
+def apply_pose(clay: bpy.types.Object, *, time: float) -> bool:
     """Make the shape keyed at a time the clay itself, to go on sculpting from it.
 
     Returns:
-        Whether the object showed a keyed shape there; else nothing has changed.
+        Whether the object showed a keyed shape at that frame; if not, nothing has changed.
 
     Raises:
-        PoseError: if the object plays packed frames, which go with its own points.
+        PoseError: The object plays packed frames, which are attributes of its own points.
     """
     pose = pose_at(clay, time)
     if pose is None:
@@ -188,7 +188,7 @@ def take_pose(clay: bpy.types.Object, *, time: float) -> bool:
     return True
 
 
-# Inside -----------------------------------------------------------------------------------------
+# Implementation ---------------------------------------------------------------------------------
 
 
 def _check(clay: bpy.types.Object, positions: NDArray[np.float32]) -> None:
@@ -201,19 +201,19 @@ def _check(clay: bpy.types.Object, positions: NDArray[np.float32]) -> None:
         )
     if positions.shape != (len(clay.data.points), 3):
         raise PoseError(
-            f"The shape of {clay.name!r} has {positions.shape} numbers, it needs "
+            f"The positions of {clay.name!r} have shape {positions.shape}, but it needs "
             f"{(len(clay.data.points), 3)}."
         )
     bad = int((~np.isfinite(positions).all(1)).sum())
     if bad:
         raise PoseError(
-            f"{bad} particles of {clay.name!r} have a position that is not finite. Go back to a "
-            "frame before that happened."
+            f"{bad} particles of {clay.name!r} have positions that are not finite. Go back to a "
+            "frame where they were."
         )
 
 
 def _own_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
-    """The modifier, with a node group that no duplicate of the object shares."""
+    """The modifier, with a node group that is not shared with duplicates of the object."""
     modifier = pose_modifier(clay)
     if modifier is not None and modifier.node_group.users > 1:
         modifier.node_group = modifier.node_group.copy()
@@ -221,7 +221,7 @@ def _own_modifier(clay: bpy.types.Object) -> bpy.types.Modifier | None:
 
 
 def _poses(modifier: bpy.types.Modifier) -> dict[int, bpy.types.Object]:
-    """Shapes by number."""
+    """The shapes by number."""
     found = {}
     switch = modifier.node_group.nodes[_SWITCH]
     for link in modifier.node_group.links:
@@ -238,9 +238,9 @@ def _number(switch: bpy.types.Node, socket: bpy.types.NodeSocket) -> int:
 
 
 def _add_pose(group: bpy.types.NodeTree, pose: bpy.types.Object) -> int:
-    """Put a shape into the first free place of the switch, and return its number."""
+    """Link a shape to the first free input of the switch, and return its number."""
     switch = group.nodes[_SWITCH]
-    # The last socket is the one that makes new ones.
+    # The last socket is only for adding new ones.
     free = [s for s in list(switch.inputs)[2:-1] if not s.is_linked]
     if not free:
         switch.index_switch_items.new()
@@ -254,7 +254,7 @@ def _add_pose(group: bpy.types.NodeTree, pose: bpy.types.Object) -> int:
 
 
 def _drop_unused(clay: bpy.types.Object) -> None:
-    """Delete the shapes that no key shows any more."""
+    """Delete the shapes that no key uses any more."""
     modifier = pose_modifier(clay)
     curve = find_curve(clay, input_path(modifier, _INPUT)) if modifier else None
     if modifier is None or curve is None:
@@ -287,7 +287,7 @@ def _insert_key(clay: bpy.types.Object, modifier: bpy.types.Modifier, time: floa
 
 
 def _add_modifier(clay: bpy.types.Object) -> bpy.types.Modifier:
-    """Add the modifier before whatever makes a surface of the points."""
+    """Add the modifier, before those that turn the points into a surface."""
     modifier = clay.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _pose_group()
     names = [item.name for item in clay.modifiers]
@@ -297,7 +297,7 @@ def _add_modifier(clay: bpy.types.Object) -> bpy.types.Modifier:
 
 
 def _pose_group() -> bpy.types.NodeTree:
-    """A new node group without shapes: one for each object, since each has its own."""
+    """A new node group without shapes; each object needs its own."""
     tree = bpy.data.node_groups.new(NODE_GROUP_NAME, "GeometryNodeTree")
     tree[_MARK] = _VERSION
     tree.is_modifier = True
@@ -306,7 +306,7 @@ def _pose_group() -> bpy.types.NodeTree:
     socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
     pose = socket(_INPUT, in_out="INPUT", socket_type="NodeSocketInt")
     pose.min_value = 0
-    pose.description = "Number of the shape that is shown; 0 is the clay itself"
+    pose.description = "Number of the displayed pose; 0 is the clay itself"
     given = tree.nodes.new("NodeGroupInput")
     given.location = (-300, 100)
     switch = tree.nodes.new("GeometryNodeIndexSwitch")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The clay as a scene shows it at any frame: baked, packed, keyed or as it was sculpted."""
+"""The clay that a scene shows at any frame: baked, packed, keyed or sculpted."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ class ShownParticles:
     """Particles of a clay object in world space."""
 
     positions: NDArray[np.float64]
-    """Shape [N, 3]; Blender units, or meters where scaled so."""
+    """Positions [Blender units, or another unit after `scaled`], shape [N, 3]."""
     colors: NDArray[np.float32]
     """Linear RGBA, 0..1, shape [N, 4]."""
     velocities: NDArray[np.float32]
-    """Shape [N, 3], per second; 0 where a shape is held."""
+    """Velocities [unit of the positions/s], shape [N, 3]; 0 for a held shape."""
     spacing: float
-    """Distance between neighbors, in the unit of the positions."""
+    """Distance between neighbors [unit of the positions]."""
 
     def scaled(self, scale: float) -> ShownParticles:
-        """The same in another unit."""
+        """The particles with all lengths multiplied by a factor, to change the unit."""
         return replace(
             self,
             positions=self.positions * scale,
@@ -54,18 +54,18 @@ class ShownParticles:
 
 
 class ShownClay:
-    """Reads what clay objects show, frame by frame.
+    """Reads the particles that clay objects show, frame by frame.
 
-    Objects that move (see `moves`) are taken where they are at the scene's current frame.
+    Objects that move (see `moves`) are read with their transform at the scene's current frame.
 
     Args:
-        scene: Where the clay is.
+        scene: The scene.
         objects: The clay objects.
         cache: The bake that they play, or None.
 
     Raises:
-        ShownClayError: if an object is no clay.
-        CacheError: if the cache cannot be read.
+        ShownClayError: An object is not clay, or is scaled to zero.
+        CacheError: The cache cannot be read.
     """
 
     def __init__(
@@ -76,9 +76,9 @@ class ShownClay:
         self._spacings = [world_spacing(item) for item in objects]
         self._playback: Playback | None = None
         self.baked: list[int] = []
-        """Numbers of the baked frames, sorted; none where the clay plays no bake."""
+        """Numbers of the baked frames, sorted; empty if the clay plays no bake."""
         self.sculpted = False
-        """Whether the clay was sculpted since it was baked, so that it does not play that."""
+        """Whether the clay was sculpted since it was baked, and so does not play the bake."""
         if cache is not None and cache.exists() and not all(is_packed(item) for item in objects):
             playback = Playback(cache)
             if is_bake_of(playback.meta(), self._objects):
@@ -87,18 +87,18 @@ class ShownClay:
                     self._playback, self.baked = playback, playback.frames()
 
     def key(self, number: int) -> tuple[tuple[object, ...], ...]:
-        """What tells shapes apart: two frames with equal keys show the same."""
+        """Identifies the shape at a frame: frames with equal keys show the same particles."""
         return tuple(self._key(item, number) for item in self._objects)
 
     def read(self, number: float) -> list[ShownParticles]:
         """The particles of each object at a frame, in Blender units.
 
         Args:
-            number: Frame number; packed frames are interpolated between two.
+            number: Frame number.
 
         Raises:
-            ShownClayError: if an object has no shape there.
-            CacheError: if the frame is missing in the bake, or damaged.
+            ShownClayError: An object has no particles, or the frame is missing in the bake.
+            CacheError: The frame is damaged.
         """
         if self._playback is None or not any(
             self._is_baked(item, number) for item in self._objects
@@ -166,7 +166,7 @@ def _present(
     spacing: float,
     matrix: Any,
 ) -> ShownParticles:
-    """Those of a clay object's particles that are there."""
+    """The particles of a clay object that are present."""
     there = present_rows(held, positions)
     return ShownParticles(
         transform(matrix, positions[there]), clay_colors(held)[there], velocities[there], spacing
@@ -174,9 +174,9 @@ def _present(
 
 
 def moves(item: bpy.types.Object) -> bool:
-    """Whether a clay object itself is moved: keyed, driven, constrained or by a parent.
+    """Whether a clay object's transform may change: keyed, driven, constrained or parented.
 
-    A bake is in the world, but keyed, packed and sculpted shapes go with their object.
+    A bake is in world space, but keyed, packed and sculpted shapes move with their object.
     """
     animation = item.animation_data
     if item.parent is not None or len(item.constraints) or item.rigid_body is not None:
@@ -192,10 +192,10 @@ def moves(item: bpy.types.Object) -> bool:
 
 
 def world_spacing(item: bpy.types.Object) -> float:
-    """Distance between the particles of a clay object in the world [Blender units].
+    """Distance between the particles of a clay object in world space [Blender units].
 
     Raises:
-        ShownClayError: if the object is no clay.
+        ShownClayError: The object is not clay, or is scaled to zero.
     """
     if item.type != "POINTCLOUD":
         raise ShownClayError(f"{item.name!r} is a {item.type.lower()}, not clay.")
@@ -204,33 +204,33 @@ def world_spacing(item: bpy.types.Object) -> float:
         radius = item.data.attributes.get("radius")
         spacing = 2 * radius.data[0].value if radius and len(radius.data) else 0.0
     if not spacing > 0:
-        raise ShownClayError(f"{item.name!r} has no particle distance. Make the clay again.")
+        raise ShownClayError(f"{item.name!r} has no particle spacing. Make the clay again.")
     matrix = np.array(item.matrix_world, np.float64)
     stretch = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
     if not stretch > 0:
-        raise ShownClayError(f"{item.name!r} is scaled to nothing. Give it a scale above 0.")
+        raise ShownClayError(f"{item.name!r} is scaled to zero. Give it a scale above 0.")
     return float(spacing * stretch)
 
 
 def particles_surface(
     parts: Sequence[ShownParticles], *, moving: bool = False
 ) -> tuple[Surface, int, float]:
-    """Reconstruct the surface of clay; objects of one spacing that touch become one piece.
+    """Reconstruct the surface of clay; touching objects with the same spacing become one piece.
 
     Args:
-        parts: The particles.
+        parts: The particles of each object.
         moving: Whether the surface gets velocities.
 
     Returns:
-        The surface, the number of particles, and their volume, in the unit of the positions.
+        The surface, the number of particles, and their volume [unit of the positions, cubed].
 
     Raises:
-        SurfaceError: if the particles have no surface.
-        ImportError: if pysplashsurf is missing.
+        SurfaceError: The particles have no surface.
+        ImportError: pysplashsurf is missing.
     """
     groups: dict[float, list[ShownParticles]] = {}
     for part in parts:
-        # Single precision in the properties must not keep equal spacings apart.
+        # Rounded, as equal spacings may differ through single precision in the properties.
         groups.setdefault(float(f"{part.spacing:.5g}"), []).append(part)
     surfaces = [
         reconstruct(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A block of clay on a table, to begin with; and what other ready-made clay is made with."""
+"""A block of clay on a table, and helpers for other ready-made clay."""
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from .parts import mesh_object, plain_material
 from .stage import add_table, scene_preset
 
 BOX_FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-"""Of a box, its lower corners first, either four counter-clockwise seen from above."""
+"""Faces of a box whose corners are ordered as in `box_corners`."""
 
 
 def box_corners(size: Sequence[float]) -> NDArray[np.float64]:
-    """Corners of a box that stands on the origin, shape [8, 3]."""
+    """Corners of a box that stands on the origin, shape [8, 3].
+
+    The four lower ones come first; both fours are counter-clockwise seen from above.
+    """
     corners = [
         (x, y, z)
         for z in (0.0, 1.0)
@@ -33,27 +36,27 @@ def box_corners(size: Sequence[float]) -> NDArray[np.float64]:
 
 
 def new_spacing(scene: bpy.types.Scene, spacing: float, preset: float) -> float:
-    """The spacing for clay that is added to a scene [Blender units].
+    """The spacing for new clay in a scene [Blender units].
 
     Args:
-        scene: Where it is added.
-        spacing: What was asked for [Blender units]; 0 for no wish.
-        preset: What it is where neither the scene's clay nor its settings say [m].
+        scene: The scene.
+        spacing: Requested spacing [Blender units]; 0 for none in particular.
+        preset: Spacing if neither the scene's clay nor its settings specify one [m].
 
     Raises:
-        ClayError: The scene's clay has another spacing than was asked for.
+        ClayError: The scene's clay has a spacing other than the requested one.
     """
-    there = clay_objects(scene)
-    if not there:
+    existing = clay_objects(scene)
+    if not existing:
         chosen = scene.tactile_clay.spacing_chosen
         return spacing or chosen or from_meters(scene, preset)
-    common = float(there[0].tactile_clay.spacing)
+    common = float(existing[0].tactile_clay.spacing)
     if spacing and abs(spacing - common) > 1e-6 * common:
         millimeters = 1e3 * meters_per_unit(scene)
         raise ClayError(
-            f"All clay of a scene needs the same spacing: {there[0].name!r} has "
-            f"{common * millimeters:.3g} mm, not {spacing * millimeters:.3g} mm. Use that, or "
-            "remove the other clay."
+            f"All clay of a scene needs the same spacing: {existing[0].name!r} has "
+            f"{common * millimeters:.3g} mm, not {spacing * millimeters:.3g} mm. Use the same "
+            "spacing, or remove the other clay."
         )
     return common
 
@@ -67,14 +70,14 @@ def clay_from(
     material: Material | None = None,
     color: Sequence[float],
 ) -> bpy.types.Object:
-    """Make clay of one mesh; should it fail, the mesh is gone again.
+    """Make clay from one mesh; on failure, the mesh is deleted.
 
     Args:
-        context: Where to make it.
-        body: A closed mesh object, which is kept, hidden.
+        context: Its scene and active collection get the clay.
+        body: A closed mesh object, which is kept but hidden.
         spacing: Distance between particles [Blender units].
-        preset: Name of a material preset; the scene's where not given.
-        material: Values of its own instead.
+        preset: Name of a material preset; by default the scene's.
+        material: Custom values that replace those of the preset.
         color: Linear RGB.
 
     Raises:
@@ -103,20 +106,20 @@ def add_block(
     preset: str | None = None,
     table: bool = True,
 ) -> bpy.types.Object:
-    """Stand a cube of clay on the 3D cursor.
+    """Add a cube of clay on the 3D cursor.
 
     Args:
-        context: Its collection takes it.
-        size: Edge [Blender units]; 0 for one of about 4,000 particles.
+        context: Its collection gets the cube.
+        size: Edge length [Blender units]; 0 for about 4,000 particles.
         spacing: Distance between particles [Blender units]; 0 for that of the scene's clay.
-        preset: Name of a material preset; the scene's where not given.
-        table: Whether to put a table under it, in a scene without any collider.
+        preset: Name of a material preset; by default the scene's.
+        table: Whether to add a table if the scene has no collider.
 
     Returns:
         The clay.
 
     Raises:
-        ClayError: It cannot be made; the message says why, and nothing is left behind.
+        ClayError: It cannot be made; the message says why, and nothing has changed.
     """
     scene = context.scene
     data = scene_preset("block")

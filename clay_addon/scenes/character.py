@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The character: a bust of Suzanne, modelled with tools from wax of six colors.
+"""The character: a bust of Suzanne, modeled with tools from wax of six colors.
 
-She is blocked out without eyes, mouth or hat. Pellets of other wax have been set on her face and
-chest, and a beret on her head, as lightly as they stick. Tools then press the eyes flat, push the
-beret down all around, print a smile, hollow the ears and press a badge on.
+The bust is blocked out without eyes, mouth or hat. Pellets of other wax lie loosely on her face and
+chest, and a beret on her head. Tools then flatten the eyes, push the beret down all around, print a
+smile, hollow the ears and press on a badge.
 
-All of it are ordinary objects with modifiers and keyframes, to be changed by hand.
+Everything is an ordinary object with modifiers and keyframes, and can be edited.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ..clay.make_clay import make_clay
 from ..core.tools.presets import load_tool_preset
 from ..model.collider import make_collider
 from .character_parts import HEAD, Skin, add_ball, add_bust
-from .character_tools import ModellingTool, Spot, bow_shape, mirrored
+from .character_tools import ModelingTool, Spot, bow_shape, mirrored
 from .parts import Vec3, mesh_object, plain_material
 from .stage import (
     add_area_light,
     add_camera,
     add_room_light,
     look_through_camera,
-    set_clock_and_units,
     set_render,
+    set_time_and_units,
 )
 
 SPACING = 0.003
@@ -50,59 +50,59 @@ _EYE = (0.215, 1.165)
 _BADGE = (0.0, 0.24)
 _EAR = (0.55, 1.09)
 _NOSTRIL = (0.078, 0.880)
-"""Places of the left side of her face in the front view: x and z [heads]."""
+"""Spots on the left side of her face in the front view: x and z [heads]."""
 _SMILE, _SMILE_RADIUS = (0.0, 0.700), 0.140
-"""Where its middle is, likewise, and its bend [heads]."""
+"""Center of the smile in the front view, and its radius of curvature [heads]."""
 _EYE_RADIUS, _PUPIL_RADIUS, _BADGE_RADIUS, _BOBBLE_RADIUS = 0.128, 0.078, 0.118, 0.095
 _BERET = (0.42, 0.40, 0.115)
 """Radii [heads]."""
 _STICKINESS = 20000.0
-"""Of the board, onto which the bust was pressed: it must not slide or rock [Pa]."""
+"""Adhesion of the board, so that the bust does not slide or rock [Pa]."""
 
 
 @dataclass(frozen=True)
 class Character:
-    """What the scene is made of."""
+    """The objects of the scene."""
 
     clay: bpy.types.Object
     """The clay, a point cloud."""
     pieces: tuple[bpy.types.Object, ...]
     """The meshes it was made from, hidden."""
     tools: tuple[bpy.types.Object, ...]
-    """Colliders, keyed."""
+    """Colliders with keyframes."""
 
 
 def build(context: bpy.types.Context) -> Character:
-    """Build the scene into an empty Blender scene, ready to bake and to render.
+    """Build the scene in an empty Blender scene, ready to bake and render.
 
     Args:
-        context: Its scene is filled.
+        context: The context with the scene to fill.
     """
     scene = context.scene
     scene.name = "Character"
-    set_clock_and_units(scene, FRAME_COUNT)
+    set_time_and_units(scene, FRAME_COUNT)
     _add_board(context)
     bust = add_bust(_SKIN)
     skin = Skin(bust)
     pieces = (bust, *_add_pellets(skin), *_add_beret(skin), *_add_rest())
-    clay = make_clay(context, pieces, SPACING, "wax", "Modelling wax")
+    clay = make_clay(context, pieces, SPACING, "wax", "Modeling wax")
     tools = _add_tools(context, skin, pieces)
     _add_stage(context)
     return Character(clay, pieces, tools)
 
 
 def _on(skin: Skin, place: tuple[float, float]) -> Spot:
-    """A spot of the front view [heads]."""
+    """A spot on the skin, given by x and z in the front view [heads]."""
     return skin.front(HEAD * place[0], HEAD * place[1])
 
 
 def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
-    """Set pellets for eyes, pupils and a badge on the skin, so that they just stick."""
+    """Add pellets for eyes, pupils and a badge, placed on the skin so that they just stick."""
     items = []
     place, out = _eye(skin)
     for side, name in ((1.0, "left"), (-1.0, "right")):
         for kind, height, radius, color in (
-            # Sunk into the eye, which leaves room for it.
+            # Pupils first: where pieces overlap, the earlier one keeps its particles.
             ("Pupil", 1.5 * _EYE_RADIUS, _PUPIL_RADIUS, _BLACK),
             ("Eye", 0.85 * _EYE_RADIUS, _EYE_RADIUS, _WHITE),
         ):
@@ -116,32 +116,32 @@ def _add_pellets(skin: Skin) -> list[bpy.types.Object]:
 
 
 def _eye(skin: Skin) -> Spot:
-    """Where an eye goes, and how it looks out: forward, a little up and to the side."""
+    """The spot of an eye, facing forward, a little up and to the side."""
     place, _ = _on(skin, _EYE)
     return place, Vector((0.12, -1.0, 0.12)).normalized()
 
 
 def _add_beret(skin: Skin) -> list[bpy.types.Object]:
-    """Lay a beret with a bobble on the head, askew."""
-    top = skin.met((0.07 * HEAD, 0.04 * HEAD, 1.0), (0.0, 0.0, -1.0))[0]
+    """Add a beret with a bobble, askew on the head."""
+    top = skin.hit((0.07 * HEAD, 0.04 * HEAD, 1.0), (0.0, 0.0, -1.0))[0]
     radii = tuple(HEAD * radius for radius in _BERET)
     middle = top + Vector((0.0, 0.0, 0.75 * radii[2]))
     beret = add_ball("Beret", middle, (radii[0], radii[1], radii[2]), _TEAL)
     beret.rotation_euler = (0.12, 0.20, 0.0)
     bpy.context.view_layer.update()
-    crown, out = Skin(beret).met((middle.x, middle.y, 1.0), (0.0, 0.0, -1.0))
+    crown, out = Skin(beret).hit((middle.x, middle.y, 1.0), (0.0, 0.0, -1.0))
     radius = HEAD * _BOBBLE_RADIUS
     return [beret, add_ball("Bobble", crown + 0.85 * radius * out, radius, _RED)]
 
 
 def _add_rest() -> list[bpy.types.Object]:
-    """Lay what clay was left over on the board."""
+    """Add leftover balls of clay on the board."""
     return [
         add_ball(name, Vector((x, y, radius)), radius, color)
         for name, x, y, radius, color in (
-            ("Red left over", 0.098, -0.018, 0.0125, _RED),
-            ("Yellow left over", 0.089, -0.047, 0.0095, _YELLOW),
-            ("Teal left over", 0.117, -0.042, 0.0110, _TEAL),
+            ("Red leftover", 0.098, -0.018, 0.0125, _RED),
+            ("Yellow leftover", 0.089, -0.047, 0.0095, _YELLOW),
+            ("Teal leftover", 0.117, -0.042, 0.0110, _TEAL),
         )
     ]
 
@@ -149,20 +149,20 @@ def _add_rest() -> list[bpy.types.Object]:
 def _add_tools(
     context: bpy.types.Context, skin: Skin, pieces: Sequence[bpy.types.Object]
 ) -> tuple[bpy.types.Object, ...]:
-    tools: list[ModellingTool] = []
+    tools: list[ModelingTool] = []
 
-    def tool(name: str, preset: str, radius: float, color: Vec3, handle: float) -> ModellingTool:
+    def tool(name: str, preset: str, radius: float, color: Vec3, handle: float) -> ModelingTool:
         kind = load_tool_preset(preset)
         shape = kind.fitted(radius, SPACING), kind.faces
-        made = ModellingTool(
+        made = ModelingTool(
             context, name, shape, friction=kind.friction, color=color, handle=handle
         )
         tools.append(made)
         return made
 
-    # Who presses on a head, holds it from behind.
+    # Palms support the head from behind while tools press on its front.
     for name, height in (("head", 1.14), ("nape", 0.55)):
-        behind = skin.met((0.0, 1.0, height * HEAD), (0.0, -1.0, 0.0))[0]
+        behind = skin.hit((0.0, 1.0, height * HEAD), (0.0, -1.0, 0.0))[0]
         palm = tool(f"Palm behind, {name}", "palm", 0.012, _RUBBER, 0.0)
         palm.press((behind, Vector((0.0, 1.0, 0.0))), -0.3 * SPACING, (-16, 1, 144, 152))
 
@@ -178,13 +178,13 @@ def _add_tools(
         reach = 0.78 * HEAD
         x = beret.location.x + reach * _BERET[0] * float(np.cos(angle))
         y = beret.location.y + reach * _BERET[1] * float(np.sin(angle))
-        place, out = hat.met((x, y, 1.0), (0.0, 0.0, -1.0))
+        place, out = hat.hit((x, y, 1.0), (0.0, 0.0, -1.0))
         start = 1 + 20 * number
         finger.press((place, (out + Vector((0.0, 0.0, 1.2))).normalized()), 0.16 * HEAD,
                      (start, start + 9, start + 11, start + 18))  # fmt: skip
 
     bow = bow_shape(_SMILE_RADIUS * HEAD, 0.042 * HEAD, radians(58.0))
-    smile = ModellingTool(context, "Bow", bow, friction=0.1, color=_STEEL, handle=0.0030)
+    smile = ModelingTool(context, "Bow", bow, friction=0.1, color=_STEEL, handle=0.0030)
     tools.append(smile)
     place, _ = _on(skin, _SMILE)
     smile.press((place, Vector((0.0, -1.0, 0.0))), 0.072 * HEAD, (58, 78, 82, 98))
@@ -194,7 +194,7 @@ def _add_tools(
         stylus.press(spot, 0.085 * HEAD, (start, start + 9, start + 11, start + 20))
 
     front = _on(skin, _EAR)
-    back = skin.met((HEAD * _EAR[0], 1.0, HEAD * _EAR[1]), (0.0, -1.0, 0.0))
+    back = skin.hit((HEAD * _EAR[0], 1.0, HEAD * _EAR[1]), (0.0, -1.0, 0.0))
     inward = (back[0] - front[0]).normalized()
     for side in ("left", "right"):
         hollow = tool(f"Ball, {side}", "ball", 0.0092, _STEEL, 0.004)
@@ -214,7 +214,7 @@ def _add_tools(
 
 
 def _add_board(context: bpy.types.Context) -> None:
-    """Add a round board, to the clay an endless plane, on paper that bends up behind it."""
+    """Add a round board, which collides as an endless plane, on paper that curves up behind it."""
     angles = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(128)], axis=1)
     top = mesh_object("Board", 0.158 * circle, [range(128)])

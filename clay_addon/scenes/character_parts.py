@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pieces of clay of the character scene before they are worked: a bust, pellets and a beret."""
+"""The initial pieces of clay of the character scene: a bust, pellets and a beret."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ..base.mesh_geometry import evaluated_mesh, transform
 from .parts import Vec3, plain_material
 
 HEAD = 0.095
-"""Height of the head, to which all lengths of the bust are drawn [m]."""
+"""Height of the head [m], the unit of all other lengths of the bust."""
 _TILT = Matrix.Rotation(radians(-22.0), 4, "X")
 """Makes her look up a little."""
 _BODY = (
     ("neck", (0.0, 0.00, -0.46), (0.30, 0.36, 0.36)),
     ("body", (0.0, 0.04, -0.84), (0.46, 0.35, 0.38)),
 )
-"""Middle and radii of the ellipsoids under the head [heads]."""
+"""Center and radii of the ellipsoids below the head [heads]."""
 _BASE = -0.98
-"""Below this she is cut flat, to stand [heads]."""
+"""Height at which the bust is cut flat, so that it stands [heads]."""
 
 
 def add_bust(color: Vec3) -> bpy.types.Object:
-    """Suzanne's head on a neck and shoulders, as roughly blocked out, standing on height 0.
+    """Add Suzanne's head on a neck and shoulders, roughly blocked out, standing at height 0.
 
     Args:
         color: Linear RGB.
@@ -37,7 +37,7 @@ def add_bust(color: Vec3) -> bpy.types.Object:
     head.data.transform(_TILT)
     smooth = head.modifiers.new("Smooth", "SUBSURF")
     smooth.levels = 2
-    # Ears must be several particles thick: make her chubby.
+    # Make her chubby, as the ears must be several particles thick.
     plump = head.modifiers.new("Chubby", "DISPLACE")
     plump.strength, plump.mid_level = 0.045, 0.0
     for modifier in (smooth, plump):
@@ -63,12 +63,12 @@ def add_bust(color: Vec3) -> bpy.types.Object:
 
 
 def add_ball(name: str, place: Vector, radii: float | Vec3, color: Vec3) -> bpy.types.Object:
-    """A ball of clay, or an ellipsoid.
+    """Add a sphere or an ellipsoid.
 
     Args:
-        name: Of the piece.
-        place: Its middle [m].
-        radii: Radius, or those along x, y and z [m].
+        name: Name of the piece.
+        place: Center [m].
+        radii: Radius, or radii along x, y and z [m].
         color: Linear RGB.
     """
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4, radius=1.0)
@@ -86,7 +86,7 @@ def _finish(item: bpy.types.Object, name: str, color: Vec3) -> bpy.types.Object:
 
 
 class Skin:
-    """Where the surface of a piece is, for what is set on it and what presses on it."""
+    """The surface of a piece, for placing other pieces and tools on it."""
 
     def __init__(self, item: bpy.types.Object) -> None:
         depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -95,21 +95,21 @@ class Skin:
         self.low, self.high = places.min(axis=0), places.max(axis=0)
         self._tree = BVHTree.FromPolygons(places.tolist(), triangles.tolist())
 
-    def met(self, origin: Vec3, way: Vec3) -> tuple[Vector, Vector]:
-        """Where a ray meets the surface first, and the outward normal there.
+    def hit(self, origin: Vec3, way: Vec3) -> tuple[Vector, Vector]:
+        """First intersection of a ray with the surface, and the outward normal there.
 
         Args:
-            origin: Where it starts, outside [m].
-            way: Where it goes.
+            origin: Start of the ray, outside the piece [m].
+            way: Direction of the ray.
 
         Raises:
-            ValueError: It misses.
+            ValueError: The ray misses the surface.
         """
         place, normal, _, _ = self._tree.ray_cast(Vector(origin), Vector(way).normalized())
         if place is None:
-            raise ValueError(f"Nothing is met from {origin} along {way}.")
+            raise ValueError(f"The ray from {origin} along {way} hits nothing.")
         return place, normal
 
     def front(self, x: float, z: float) -> tuple[Vector, Vector]:
-        """Place and normal of the front at a point of the front view [m]."""
-        return self.met((x, -1.0, z), (0.0, 1.0, 0.0))
+        """Position and normal of the front surface at x and z of the front view [m]."""
+        return self.hit((x, -1.0, z), (0.0, 1.0, 0.0))

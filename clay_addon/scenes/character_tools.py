@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tools of the character scene: colliders that keyframes press into the clay."""
+"""The tools of the character scene: colliders whose keyframes press them into the clay."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 from ..model.collider import make_collider
 from .parts import Vec3, mesh_object, plain_material
 
-_AWAY = 0.03
-"""How far off the clay a tool waits [m]."""
+_CLEARANCE = 0.03
+"""Distance from the clay at which a press starts and ends [m]."""
 _PARKED = Vector((0.45, -0.05, 0.30))
-"""Where tools of her left side wait, out of the picture [m]; the others opposite."""
-_TRAVEL = 16
-"""Frames from there to the clay."""
+"""Where idle tools of her left side are, out of the picture [m]; the others are mirrored."""
+_TRAVEL_FRAMES = 16
+"""Number of frames from there to the clay."""
 _HANDLE = 0.10
 """Length of a tool's handle, which does not touch the clay [m]."""
 
 Spot = tuple[Vector, Vector]
-"""A place on the clay [m], and the direction out of the clay there."""
+"""A point on the clay [m], and the outward direction there."""
 
 
-class ModellingTool:
-    """A collider, to be keyed press by press.
+class ModelingTool:
+    """A collider whose motion is a series of presses.
 
     Args:
-        context: Its collection takes the tool.
-        name: Of the object.
-        shape: Vertices in the tool's own frame as the presets have it [m], and faces.
+        context: Its collection gets the tool.
+        name: Name of the object.
+        shape: Vertices in the tool's coordinates, as in the presets [m], and faces.
         friction: Coulomb friction coefficient.
         color: Linear RGB.
-        handle: Radius of its handle [m]; 0 for none.
+        handle: Radius of the handle [m]; 0 for none.
     """
 
     def __init__(
@@ -60,21 +60,21 @@ class ModellingTool:
             _add_handle(self.item, float(vertices[:, 2].max()), handle)
 
     def press(self, spot: Spot, depth: float, frames: tuple[int, int, int, int]) -> None:
-        """Press the tool into the clay and take it out the way it came.
+        """Press the tool into the clay and pull it straight back out.
 
         Args:
-            spot: Where.
-            depth: How deep its tip goes below the place [m]; negative stays above it.
-            frames: When it sets out, is all the way in, lets go, and is away again.
+            spot: Where to press.
+            depth: Depth of its tip below the spot [m]; if negative, it stays above.
+            frames: When it starts to move in, is fully in, starts to move out, and is out.
         """
         place, out = spot
-        away = place + _AWAY * out
+        away = place + _CLEARANCE * out
         tip = place - depth * out
         for frame, where in zip(frames, (away, tip, tip, away), strict=True):
             self._key(frame, where, out)
 
     def write(self) -> bpy.types.Object:
-        """Key what the tool was told to do, and that it waits out of the picture before and after.
+        """Insert the keyframes: all presses, and before and after them a wait out of the picture.
 
         Returns:
             The tool's object.
@@ -82,7 +82,7 @@ class ModellingTool:
         keys = sorted(self._keys, key=lambda key: key[0])
         side = 1.0 if keys[0][1].x > -1e-3 else -1.0
         parked = Vector((side * _PARKED.x, _PARKED.y, _PARKED.z))
-        start, end = keys[0][0] - _TRAVEL, keys[-1][0] + _TRAVEL
+        start, end = keys[0][0] - _TRAVEL_FRAMES, keys[-1][0] + _TRAVEL_FRAMES
         for frame, place, out in ((start, parked, keys[0][2]), *keys, (end, parked, keys[-1][2])):
             turn = out.to_track_quat("Z", "Y")
             if turn.dot(self.item.rotation_quaternion) < 0.0:
@@ -91,7 +91,7 @@ class ModellingTool:
             self.item.rotation_quaternion = turn
             self.item.keyframe_insert("location", frame=frame)
             self.item.keyframe_insert("rotation_quaternion", frame=frame)
-        # On the way it is fast, and would cost the solver substeps for nothing.
+        # Disabled while it travels: a fast collider would cost the solver useless substeps.
         for frame, enabled in ((start, False), (keys[0][0], True), (keys[-1][0], False)):
             self.item.tactile_clay.collider_enabled = enabled
             self.item.keyframe_insert("tactile_clay.collider_enabled", frame=frame)
@@ -110,17 +110,17 @@ def mirrored(spot: Spot) -> Spot:
 def bow_shape(
     radius: float, thickness: float, half_angle: float
 ) -> tuple[NDArray[np.float64], list[Sequence[int]]]:
-    """A bent rod with round ends, to print a smile: vertices [m] and faces.
+    """A bent rod with round ends, which prints a smile: vertices [m] and faces.
 
-    It lies in the plane of x and y, open towards +y; what meets the clay first is at height 0.
+    It lies in the xy plane, open toward +y; the side that touches the clay first is at height 0.
 
     Args:
-        radius: Of the bend [m].
+        radius: Radius of the bend [m].
         thickness: Radius of the rod [m].
-        half_angle: From its middle to an end [radians].
+        half_angle: Angle from its middle to an end [radians].
     """
     around, along = 12, 24
-    # Beyond the ends the rod closes as a hemisphere, a ring for each of these angles.
+    # The ends are hemispheres, with a ring for each of these angles.
     cap = np.linspace(0.0, 0.5 * np.pi, 5)[1:-1]
     stations = [(-half_angle, -np.sin(c), np.cos(c)) for c in cap[::-1]]
     stations += [(turn, 0.0, 1.0) for turn in np.linspace(-half_angle, half_angle, along)]
@@ -146,7 +146,7 @@ def bow_shape(
 
 
 def _add_handle(tool: bpy.types.Object, start: float, radius: float) -> None:
-    """Put a wooden handle on a tool, along its axis."""
+    """Add a wooden handle along a tool's axis."""
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     profile = (
         (0.75, -0.004),

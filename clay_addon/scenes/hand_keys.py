@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands of scenes that the extension comes with: keyed by how they are held, and dressed.
+"""Keyframed hands of the ready-made scenes, and their sleeves.
 
-A `HandHold` is a pose of the fingers and how the hand is turned; a `HandKey` says when it is held
-so, and where.
+A `HandHold` is a pose of the fingers with an orientation of the hand; a `HandKey` places it at a
+frame and location.
 """
 
 from __future__ import annotations
@@ -22,37 +22,37 @@ from .parts import Vec3, mesh_object, plain_material
 
 @dataclass(frozen=True)
 class HandHold:
-    """How a hand is held."""
+    """A finger pose and an orientation."""
 
     pose: HandPose
     forward: Vec3
-    """Where straight fingers point."""
+    """Direction in which straight fingers point."""
     back: Vec3
-    """Where the back of the hand looks."""
+    """Direction in which the back of the hand faces."""
     anchor: tuple[str, ...]
-    """The joints whose middle goes along the path."""
+    """Joints whose centroid is the hand's location in a `HandKey`."""
 
 
 @dataclass(frozen=True)
 class HandKey:
-    """Where a hand is at a frame, and how it is held."""
+    """How a hand is held at a frame, and where."""
 
     frame: int
     hold: HandHold
     place: Vec3
-    """Of the anchor [m]."""
+    """Location of the anchor [m]."""
 
 
 def key_hand(
     armature: bpy.types.Object, side: str, keys: Sequence[HandKey], *, length: float
 ) -> None:
-    """Key an armature's transform and the turning of its bones.
+    """Insert keyframes for an armature's transform and the rotation of its bones.
 
     Args:
-        armature: Of a default hand.
+        armature: Armature of a default hand.
         side: "right" or "left".
-        keys: What the hand does, in the order of the frames.
-        length: Of the hand, as it was added [m].
+        keys: The keys, in order of frames.
+        length: Length with which the hand was added [m].
     """
     armature.rotation_mode = "QUATERNION"
     for bone in armature.pose.bones:
@@ -80,7 +80,7 @@ def key_hand(
 
 
 def _nearer(turn: Quaternion, other: Quaternion) -> Quaternion:
-    """Of the two quaternions of a rotation, the one from which it is not far to another."""
+    """Of the two quaternions of a rotation, the one closer to another."""
     return -turn if turn.dot(other) < 0.0 else turn
 
 
@@ -88,17 +88,17 @@ _CUFF = (
     (-0.034, 0.000), (-0.016, 0.001), (-0.012, 0.0035), (-0.015, 0.0065),
     (-0.034, 0.0075), (-0.039, 0.0055), (-0.044, 0.0060), (-0.120, 0.010), (-0.450, 0.018),
 )  # fmt: skip
-"""Profile of a sleeve: way along the arm, and distance to the wrist's skin [m]."""
+"""Profile of a sleeve: position along the arm, and distance from the wrist's skin [m]."""
 
 
 def add_sleeve(armature: bpy.types.Object, name: str, color: Vec3, *, length: float) -> None:
-    """Dress the wrist; the sleeve goes with the hand and does not touch the clay.
+    """Add a sleeve, which moves with the hand and does not touch the clay.
 
     Args:
-        armature: Of a default hand.
-        name: Of the hand.
-        color: Of the cloth, linear RGB.
-        length: Of the hand, as it was added [m].
+        armature: Armature of a default hand.
+        name: Name of the hand.
+        color: Linear RGB of the cloth.
+        length: Length with which the hand was added [m].
     """
     angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     rings = [

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The incline: four blocks of clay that fall on a slope, each lacking something else.
+"""The incline: four blocks of clay fall on a slope, three of them with one effect disabled.
 
 Figure 2 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*, WHC 2021:
-the whole model takes the fall and stops; without viscosity it flows fast and fractures; without
-elastoplasticity it drifts; without friction it slides away. The paper switches a kind of constraint
-off for a whole run. Here all four fall at once, in the extension's own clay model: each block is of
-a material in which what that constraint stands for is zero.
+with the full model, the block lands and stops; without viscosity it flows fast and fractures;
+without elastoplasticity it drifts; without friction it slides away. The paper disables one kind of
+constraint per run. Here all four fall at once, in the extension's own clay model: in each block's
+material, the parameter that corresponds to the constraint is zero.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from .stage import (
     add_room_light,
     look_through_camera,
     scene_preset,
-    set_clock_and_units,
     set_render,
+    set_time_and_units,
 )
 
 FRAME_COUNT = int(scene_preset("incline")["frames"])
 
 _BOARD = ((-0.80, -0.80), (0.50, 0.80))
-"""Corners of the board along and across the slope [m]; to the clay it has no end."""
+"""Corners of the visible board along and across the slope [m]; as a collider it is infinite."""
 
 
 @dataclass(frozen=True)
 class Incline:
-    """What the scene is made of."""
+    """The objects of the scene."""
 
     clay: tuple[bpy.types.Object, ...]
-    """The blocks: whole, without viscosity, without elastoplasticity, without friction."""
+    """The blocks: complete, without viscosity, without elastoplasticity, without friction."""
     board: bpy.types.Object
     """The slope."""
 
@@ -55,11 +55,11 @@ def build(
     friction: float | None = None,
     spacing: float | None = None,
 ) -> Incline:
-    """Build the scene into an empty Blender scene, ready to bake and to render.
+    """Build the scene in an empty Blender scene, ready to bake and render.
 
     Args:
-        context: Its scene is filled.
-        angle: Of the slope [radians].
+        context: The context with the scene to fill.
+        angle: Angle of the slope [radians]; this and the others default to the preset.
         friction: Coulomb friction coefficient of slope and clay.
         spacing: Distance between particles [m].
 
@@ -72,11 +72,11 @@ def build(
     friction = data["friction"] if friction is None else friction
     spacing = data["spacing"] if spacing is None else spacing
     scene.name = "Incline"
-    set_clock_and_units(scene, FRAME_COUNT)
+    set_time_and_units(scene, FRAME_COUNT)
     board = _add_board(context, angle, friction)
     base = replace(Material(**data["material"]), friction=friction)
     size = data["size"]
-    # Level, with its lowest corner that far above the slope.
+    # The block is level; its lowest corner is the fall height above the slope.
     height = data["fall"] + tan(angle) * size[0] / 2
     blocks = []
     for number, variant in enumerate(data["variant"]):
@@ -104,7 +104,7 @@ def build(
 
 
 def _on_slope(angle: float) -> Matrix:
-    """World from slope: x goes downhill."""
+    """Matrix from slope coordinates, with x downhill, to world coordinates."""
     return Matrix.Rotation(angle, 4, "Y")
 
 
@@ -121,7 +121,7 @@ def _add_board(context: bpy.types.Context, angle: float, friction: float) -> bpy
 def _add_label(
     context: bpy.types.Context, variant: dict[str, Any], across: float, angle: float
 ) -> None:
-    """Write uphill of a block what it lacks, to be read from downhill."""
+    """Add a label uphill of a block, readable from downhill."""
     text = bpy.data.curves.new(variant["label"], "FONT")
     text.body = variant["label"]
     text.size, text.align_x, text.align_y = 0.015, "CENTER", "CENTER"

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kindergarten scene: blocks of modelling clay on a table, and small hands that work them.
+"""The kindergarten scene: blocks of modeling clay on a table, and small hands that work them.
 
 After section V of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
 WHC 2021: 2,114 particles of colored clay. A palm flattens a block, two fingers pinch the head off
 a caterpillar, two hands push two blocks together, and a finger presses a dent. Suzanne watches.
 
-All of it are ordinary objects with modifiers, armatures and keyframes, to be changed by hand.
+Everything is an ordinary object with modifiers, armatures and keyframes, and can be edited.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from .stage import (
     add_camera,
     add_room_light,
     look_through_camera,
-    set_clock_and_units,
     set_render,
+    set_time_and_units,
 )
 
 PARTICLE_COUNT = 2114
-"""As many particles as the paper's kindergarten scene has."""
+"""Number of particles, as in the paper's kindergarten scene."""
 SPACING = 0.005
 """Distance between particles [m]."""
 FRAME_COUNT = 120
@@ -46,43 +46,44 @@ _SUZANNE_TILT = Matrix.Rotation(radians(-24.0), 4, "X")
 
 @dataclass(frozen=True)
 class Kindergarten:
-    """What the scene is made of."""
+    """The objects of the scene."""
 
     clay: bpy.types.Object
     """The clay, a point cloud."""
     pieces: tuple[bpy.types.Object, ...]
     """The meshes it was made from, hidden."""
     hands: tuple[bpy.types.Object, ...]
-    """The right and the left clay hand, keyed."""
+    """The right and the left clay hand, with keyframes."""
 
 
 @dataclass(frozen=True)
 class _Piece:
-    """A piece of clay before it is worked."""
+    """An initial piece of clay."""
 
     name: str
     particle_count: int
     color: Vec3
     """Linear RGB."""
     place: tuple[float, float]
-    """Where on the table its middle stands [m]."""
+    """Location of its origin on the table [m]."""
     turn: float
-    """About the vertical [degrees]."""
+    """Rotation about the vertical [degrees]."""
     shape: Callable[[str], bpy.types.Object]
+    """Adds its mesh, given its name."""
 
 
 def build(context: bpy.types.Context) -> Kindergarten:
-    """Build the scene into an empty Blender scene, ready to bake and to render.
+    """Build the scene in an empty Blender scene, ready to bake and render.
 
     Args:
-        context: Its scene is filled.
+        context: The context with the scene to fill.
     """
     scene = context.scene
     scene.name = "Kindergarten"
-    set_clock_and_units(scene, FRAME_COUNT)
+    set_time_and_units(scene, FRAME_COUNT)
     _add_table(context)
     pieces = {piece.name: _add_piece(context, piece) for piece in _PIECES}
-    clay = make_clay(context, tuple(pieces.values()), SPACING, "plasticine", "Modelling clay")
+    clay = make_clay(context, tuple(pieces.values()), SPACING, "plasticine", "Modeling clay")
     hands = add_hands(context)
     _paint_eyes(clay, pieces["Orange Suzanne"])
     _add_lights(context)
@@ -96,7 +97,7 @@ def build(context: bpy.types.Context) -> Kindergarten:
 
 
 def _add_piece(context: bpy.types.Context, piece: _Piece) -> bpy.types.Object:
-    """Stand a piece on the table, scaled to hold exactly its number of particles."""
+    """Add a piece on the table, scaled to have the volume of its number of particles."""
     item = piece.shape(piece.name)
     item.data.materials.append(plain_material(piece.name, piece.color, 0.6))
     context.view_layer.update()
@@ -110,14 +111,14 @@ def _add_piece(context: bpy.types.Context, piece: _Piece) -> bpy.types.Object:
 
 
 def _active(name: str) -> bpy.types.Object:
-    """Name the mesh that an operator has just added."""
+    """Name the mesh that an operator has just added, and return it."""
     item = bpy.context.object
     item.name = item.data.name = name
     return item
 
 
 def _close(item: bpy.types.Object, voxel: float) -> bpy.types.Object:
-    """Make one closed surface of whatever parts a mesh has."""
+    """Merge all parts of a mesh into one closed surface."""
     remesh = item.modifiers.new("Close", "REMESH")
     remesh.mode = "VOXEL"
     remesh.voxel_size = voxel
@@ -125,7 +126,7 @@ def _close(item: bpy.types.Object, voxel: float) -> bpy.types.Object:
 
 
 def _block(name: str, cells: int) -> bpy.types.Object:
-    """A cube of so many particles a side whose eight corners, one particle each, are cut off."""
+    """Add a cube of `cells`³ particles whose eight corners, one particle each, are cut off."""
     bpy.ops.mesh.primitive_cube_add(size=1.0)
     item = _active(name)
     cut = item.modifiers.new("Corners", "BEVEL")
@@ -138,7 +139,7 @@ def _suzanne(name: str) -> bpy.types.Object:
     bpy.ops.mesh.primitive_monkey_add(size=1.0)
     item = _active(name)
     item.data.transform(_SUZANNE_TILT)
-    # Ears of a particle's thickness would break off: make her a little chubby.
+    # Make her a little chubby, as ears one particle thick would break off.
     plump = item.modifiers.new("Chubby", "DISPLACE")
     plump.strength, plump.mid_level = 0.03, 0.0
     _flatten_base(item, -0.25)
@@ -146,7 +147,7 @@ def _suzanne(name: str) -> bpy.types.Object:
 
 
 def _caterpillar(name: str) -> bpy.types.Object:
-    """A loaf of a body, a neck and a ball of a head, along Y with the head at -Y."""
+    """Add a loaf-shaped body, a neck and a round head, along Y with the head at -Y."""
     parts = (
         ((0.0, 0.024, 0.0150), (0.0175, 0.0250, 0.0160)),
         ((0.0, -0.010, 0.0080), (0.0056, 0.0160, 0.0062)),
@@ -169,13 +170,13 @@ def _caterpillar(name: str) -> bpy.types.Object:
 
 
 def _flatten_base(item: bpy.types.Object, height: float) -> None:
-    """Press a mesh flat below a height, so that it stands."""
+    """Flatten a mesh below a height, so that it stands."""
     for vertex in item.data.vertices:
         vertex.co.z = max(vertex.co.z, height)
 
 
 def _paint_eyes(clay: bpy.types.Object, suzanne: bpy.types.Object) -> None:
-    """Give Suzanne's eyes, too small for pieces of their own, a color by particle."""
+    """Color the particles of Suzanne's eyes, which are too small to be separate pieces."""
     positions = np.empty((len(clay.data.points), 3), np.float32)
     clay.data.attributes["position"].data.foreach_get("vector", positions.ravel())
     places = transform(clay.matrix_world, positions)
@@ -209,7 +210,7 @@ _PIECES = (
 
 
 def _add_table(context: bpy.types.Context) -> None:
-    """Add a wooden table top: to the clay an endless plane."""
+    """Add a wooden table top, which collides as an endless plane."""
     corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     top = mesh_object("Table", 0.6 * corners, [(0, 1, 2, 3)])
     material = plain_material("Wood", (0.60, 0.40, 0.22), 0.38)

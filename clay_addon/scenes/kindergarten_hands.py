@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The two hands of the kindergarten scene, and what they do in two seconds.
 
-First the right hand lies down flat on the red block, while the left pinches the head off the
-caterpillar. Then both push the yellow and the blue block together, and last the left index finger
+First the right hand presses flat on the red block, while the left pinches the head off the
+caterpillar. Then both push the yellow and the blue block together. Finally the left index finger
 presses a dent into the violet block.
 
-Both are default hands: ordinary armatures, of which every bone and the whole are keyed.
+Both are default hands: ordinary armatures with keyframes for the object and every bone.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..hands.reading import hand_armature
 from .hand_keys import HandHold, HandKey, add_sleeve, key_hand
 
 HAND_LENGTH = 0.15
-"""From wrist to fingertip of a child of nine [m]."""
+"""From wrist to fingertip of a nine-year-old child [m]."""
 _FRICTION = 0.8
 """Coulomb friction coefficient of a child's hands, which are not clean."""
 
@@ -98,13 +98,13 @@ _LEFT = (
 
 
 def add_hands(context: bpy.types.Context) -> tuple[bpy.types.Object, ...]:
-    """Add both hands, bound for the scene's clay and keyed.
+    """Add both hands as clay hands, with keyframes.
 
     Args:
-        context: Its scene has the clay already.
+        context: Its scene already contains the clay.
 
     Returns:
-        The right and the left hand's mesh.
+        The meshes of the right and the left hand.
     """
     hands = []
     for side, keys, color in (

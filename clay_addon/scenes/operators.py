@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add > Clay: clay and whole scenes, ready to play."""
+"""The menu Add > Clay: ready-made clay and complete scenes."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _FAILURES = (AddHandError, ClayError, ColliderError, HandError)
 def add_scene(
     context: bpy.types.Context, name: str, build: Callable[[bpy.types.Context], Any]
 ) -> Any:
-    """Make a new scene, go there and fill it; should that fail, go back and leave nothing.
+    """Create a new scene, switch to it and fill it; on failure, restore the previous state.
 
     Args:
-        context: Its window goes to the new scene.
-        name: Of the scene.
+        context: Its window switches to the new scene.
+        name: Name of the scene.
         build: Fills the scene of the context it is given.
 
     Returns:
-        What ``build`` returned.
+        The result of `build`.
 
     Raises:
-        ClayError: Something the solver needs is missing.
+        ClayError: Something that the solver needs is missing.
     """
     for sentence in missing_parts():
         raise ClayError(sentence)
@@ -56,24 +56,24 @@ def add_scene(
             bpy.data.objects.remove(item)
         bpy.data.scenes.remove(scene)
         raise
-    # Several scenes in one file must not share a bake.
+    # Scenes in one file must not share a cache.
     folder = bpy.path.clean_name(scene.name).lower()
     scene.tactile_clay.cache_directory = f"//clay_cache_{folder}"
     return built
 
 
 class _Add:
-    """What all these operators have in common."""
+    """Common parts of the operators."""
 
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """In Object Mode only."""
+        """Available in Object Mode."""
         return context.mode == "OBJECT" and context.window is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Add it, or report why not."""
+        """Add the clay or scene, or report why it cannot be added."""
         try:
             self.add(context)
         except _FAILURES as error:
@@ -82,19 +82,19 @@ class _Add:
         return {"FINISHED"}
 
     def add(self, context: bpy.types.Context) -> None:
-        """Add what the operator is for."""
+        """Add the operator's clay or scene."""
         raise NotImplementedError
 
 
 class CLAY_OT_block_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Stand a block of clay on the 3D cursor, with a table under it"""
+    """Add a block of clay on the 3D cursor, with a table under it"""
 
     bl_idname = "clay.block_add"
     bl_label = "Add Clay Block"
 
     size: bpy.props.FloatProperty(
         name="Size",
-        description="Edge of the block; 0 makes one of about 4,000 particles",
+        description="Edge length of the block; 0 makes one of about 4,000 particles",
         subtype="DISTANCE",
         unit="LENGTH",
         min=0.0,
@@ -103,7 +103,7 @@ class CLAY_OT_block_add(_Add, bpy.types.Operator):  # noqa: N801
     )
     spacing: bpy.props.FloatProperty(
         name="Spacing",
-        description="Distance between particles; 0 takes that of the scene's clay",
+        description="Distance between particles; 0 uses that of the scene's clay",
         subtype="DISTANCE",
         unit="LENGTH",
         min=0.0,
@@ -112,14 +112,14 @@ class CLAY_OT_block_add(_Add, bpy.types.Operator):  # noqa: N801
     )
     material_preset: bpy.props.EnumProperty(
         name="Material",
-        description="What the clay is made of",
+        description="Material of the clay",
         items=operator_items,
         default=0,
         options={"SKIP_SAVE"},
     )
     table: bpy.props.BoolProperty(
         name="Table",
-        description="Put a table under it, in a scene without any collider",
+        description="Add a table under it if the scene has no collider",
         default=True,
     )
 
@@ -132,7 +132,7 @@ class CLAY_OT_block_add(_Add, bpy.types.Operator):  # noqa: N801
             preset=None if self.material_preset == SCENE else self.material_preset,
             table=self.table,
         )
-        # So that the panel below the view shows what to change.
+        # So that the Adjust Last Operation panel shows the actual values.
         self.spacing = clay.tactile_clay.spacing
         self.size = self.size or max(clay.dimensions)
         look_at(context, clay.location, self.size)
@@ -140,7 +140,7 @@ class CLAY_OT_block_add(_Add, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_slump_test_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Stand a cylinder of soft clay on the 3D cursor; a ring shows how far theory lets it sink"""
+    """Add a cylinder of soft clay on the 3D cursor; a ring shows how far it should sink"""
 
     bl_idname = "clay.slump_test_add"
     bl_label = "Add Slump Test"
@@ -156,14 +156,14 @@ class CLAY_OT_slump_test_add(_Add, bpy.types.Operator):  # noqa: N801
     )
     yield_stress: bpy.props.FloatProperty(
         name="Yield Stress (Pa)",
-        description="Shear stress at which the clay flows; 0 lets it sink by about a half",
+        description="Shear stress at which the clay yields; 0 makes it sink by about a half",
         min=0.0,
         soft_max=2000.0,
         options={"SKIP_SAVE"},
     )
     spacing: bpy.props.FloatProperty(
         name="Spacing",
-        description="Distance between particles; 0 takes that of the scene's clay",
+        description="Distance between particles; 0 uses that of the scene's clay",
         subtype="DISTANCE",
         unit="LENGTH",
         min=0.0,
@@ -172,7 +172,7 @@ class CLAY_OT_slump_test_add(_Add, bpy.types.Operator):  # noqa: N801
     )
     table: bpy.props.BoolProperty(
         name="Table",
-        description="Put a table under it, in a scene without any collider",
+        description="Add a table under it if the scene has no collider",
         default=True,
     )
 
@@ -191,19 +191,19 @@ class CLAY_OT_slump_test_add(_Add, bpy.types.Operator):  # noqa: N801
         look_at(context, test.clay.location, 2.5 * self.height)
         self.report(
             {"INFO"},
-            f"Its top should sink by {test.expected:.2f} of its height, to the ring. Bake a second",
+            f"The top should sink to the ring, by {test.expected:.2f} of its height. Bake 1 second",
         )
 
 
 class CLAY_OT_incline_scene_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Make a scene in which four blocks fall on a slope, each lacking something else"""
+    """Add a scene in which four blocks with different materials fall on a slope"""
 
     bl_idname = "clay.incline_scene_add"
     bl_label = "Add Incline"
 
     angle: bpy.props.FloatProperty(
         name="Angle",
-        description="How steep the slope is",
+        description="Angle of the slope",
         subtype="ANGLE",
         default=radians(_INCLINE["angle"]),
         min=0.0,
@@ -228,7 +228,7 @@ class CLAY_OT_incline_scene_add(_Add, bpy.types.Operator):  # noqa: N801
     )
 
     def add(self, context: bpy.types.Context) -> None:
-        """Make the scene."""
+        """Add the scene."""
         from . import incline as incline_scene
 
         add_scene(
@@ -241,39 +241,39 @@ class CLAY_OT_incline_scene_add(_Add, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_kindergarten_scene_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Make a scene with colored blocks of clay on a table, and two hands that work them"""
+    """Add a scene with colored blocks of clay on a table, and two hands that work them"""
 
     bl_idname = "clay.kindergarten_scene_add"
     bl_label = "Add Kindergarten"
 
     def add(self, context: bpy.types.Context) -> None:
-        """Make the scene."""
+        """Add the scene."""
         from . import kindergarten
 
         add_scene(context, "Kindergarten", kindergarten.build)
 
 
 class CLAY_OT_character_scene_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Make a scene in which tools model a bust of Suzanne"""
+    """Add a scene in which tools model a bust of Suzanne"""
 
     bl_idname = "clay.character_scene_add"
     bl_label = "Add Character"
 
     def add(self, context: bpy.types.Context) -> None:
-        """Make the scene."""
+        """Add the scene."""
         from . import character as character_scene
 
         add_scene(context, "Character", character_scene.build)
 
 
 class CLAY_OT_wheel_scene_add(_Add, bpy.types.Operator):  # noqa: N801
-    """Make a scene with clay on a potter's wheel, and two hands that throw a pot"""
+    """Add a scene with clay on a potter's wheel, and two hands that throw a pot"""
 
     bl_idname = "clay.wheel_scene_add"
     bl_label = "Add Potter's Wheel"
 
     def add(self, context: bpy.types.Context) -> None:
-        """Make the scene."""
+        """Add the scene."""
         from . import wheel as wheel_scene
 
         add_scene(context, "Potter's wheel", wheel_scene.build)
@@ -286,7 +286,7 @@ class CLAY_MT_add(bpy.types.Menu):  # noqa: N801
     bl_label = "Clay"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw what is added to the scene at the cursor, then what is a scene of its own."""
+        """Draw the items that are added to the current scene, then the complete scenes."""
         layout = self.layout
         layout.operator_context = "INVOKE_REGION_WIN"
         layout.operator("clay.block_add", text="Block", icon="MESH_CUBE")
@@ -316,14 +316,14 @@ _CLASSES = (
 
 
 def register() -> None:
-    """Register the operators, and put their menu into the Add menu."""
+    """Register the operators, and add their menu to the Add menu."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.VIEW3D_MT_add.append(_draw_in_add_menu)
 
 
 def unregister() -> None:
-    """Unregister them."""
+    """Unregister the operators and the menu."""
     bpy.types.VIEW3D_MT_add.remove(_draw_in_add_menu)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the objects of the kindergarten scene are made from: plain meshes and plain materials."""
+"""Plain meshes and materials, from which the objects of the ready-made scenes are built."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Vec3 = tuple[float, float, float]
 
 
 def mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.types.Object:
-    """Link an object of vertices, shape [V, 3], and faces to the collection in use."""
+    """Add an object with vertices, shape [V, 3], and faces to the active collection."""
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(np.asarray(vertices).tolist(), [], [list(face) for face in faces])
     mesh.update()
@@ -23,7 +23,7 @@ def mesh_object(name: str, vertices: NDArray, faces: Sequence | NDArray) -> bpy.
 
 
 def plain_material(name: str, color: Vec3, roughness: float) -> bpy.types.Material:
-    """Make a material of one color, linear RGB."""
+    """Create a material of one color, linear RGB."""
     material = bpy.data.materials.new(name)
     if bpy.app.version < (5, 0, 0):
         material.use_nodes = True

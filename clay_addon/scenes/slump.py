@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The slump test: a cylinder of soft clay that sinks under its weight, as far as theory says.
+"""The slump test: a cylinder of soft clay that sinks under its own weight, compared with theory.
 
 Pashias, Boger, Summers and Glenister 1996, *A fifty cent rheometer for yield stress measurement*,
 doi 10.1122/1.550780.
@@ -22,32 +22,32 @@ from .parts import mesh_object, plain_material
 from .stage import add_table, scene_preset
 
 _SIDES = 48
-"""Of the cylinder."""
+"""Number of sides of the cylinder."""
 
 
 @dataclass(frozen=True)
 class SlumpTest:
-    """What a slump test is made of, and what is expected of it."""
+    """The objects of a slump test, and the expected result."""
 
     clay: bpy.types.Object
     """The clay, a point cloud."""
     expected: float
-    """How far its top should sink, over its height."""
+    """Expected slump of its top, as a fraction of its height."""
     ring: bpy.types.Object
     """A ring at the height where the top should come to rest."""
 
 
 def expected_slump(yield_stress: float, density: float, gravity: float, height: float) -> float:
-    """How far the top of a cylinder sinks, over its height: s′ = 1 − 2τ′(1 − ln 2τ′).
+    """Slump of a cylinder as a fraction of its height: s′ = 1 − 2τ′(1 − ln 2τ′).
 
     Args:
-        yield_stress: In shear [Pa].
-        density: [kg/m³].
-        gravity: Acceleration of free fall [m/s²].
-        height: Of the cylinder [m].
+        yield_stress: Yield stress in shear [Pa].
+        density: Density [kg/m³].
+        gravity: Gravitational acceleration [m/s²].
+        height: Height of the cylinder [m].
 
     Returns:
-        0 for clay that stands, 1 for a liquid, or where nothing pulls 0.
+        From 0 for clay that does not sink, as without gravity, to 1 for a liquid.
     """
     weight = density * gravity * height
     if weight <= 0.0:
@@ -66,17 +66,18 @@ def add_slump_test(
     spacing: float = 0.0,
     table: bool = True,
 ) -> SlumpTest:
-    """Stand a cylinder of soft clay, as wide as high, on the 3D cursor, and mark what is expected.
+    """Add a cylinder of soft clay, as wide as high, on the 3D cursor, and mark the expected slump.
 
     Args:
-        context: Its collection takes it.
-        height: [Blender units]; 0 for one of about 3,000 particles.
-        yield_stress: In shear [Pa]; 0 for a tenth of density times gravity times height.
+        context: Its collection gets the objects.
+        height: Height [Blender units]; 0 for about 3,000 particles.
+        yield_stress: Yield stress in shear [Pa]; 0 for a tenth of density times gravity times
+            height.
         spacing: Distance between particles [Blender units]; 0 for that of the scene's clay.
-        table: Whether to put a table under it, in a scene without any collider.
+        table: Whether to add a table if the scene has no collider.
 
     Raises:
-        ClayError: It cannot be made; the message says why, and nothing is left behind.
+        ClayError: It cannot be made; the message says why, and nothing has changed.
     """
     scene = context.scene
     data = scene_preset("slump")
@@ -86,7 +87,7 @@ def add_slump_test(
     material = Material(**data["material"])
     gravity = -scene.gravity[2] * scale if scene.use_gravity else 0.0
     if not yield_stress:
-        # As soft against its own weight at every height.
+        # Scaled so that the slump is the same at every height.
         yield_stress = material.yield_stress * height * scale / data["height"]
     material = replace(material, yield_stress=yield_stress)
     clay = clay_from(
@@ -109,7 +110,7 @@ def add_slump_test(
 
 def _cylinder(place: tuple[float, float, float], height: float) -> bpy.types.Object:
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
-    # As large as the round one it stands for.
+    # Same cross-sectional area as a round cylinder.
     radius = 0.5 * height / math.sqrt(math.sin(2 * math.pi / _SIDES) * _SIDES / (2 * math.pi))
     rim = radius * np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [np.column_stack([rim, np.full(_SIDES, level)]) for level in (0.0, height)]
@@ -123,7 +124,7 @@ def _cylinder(place: tuple[float, float, float], height: float) -> bpy.types.Obj
 def _mark(
     context: bpy.types.Context, height: float, expected: float, scale: float
 ) -> bpy.types.Object:
-    """A ring about the cylinder where its top should come to rest, and what that is in words."""
+    """Add a ring around the cylinder where its top should come to rest, and a text about it."""
     paint = plain_material("Expected", (0.75, 0.05, 0.03), 0.5)
     place = context.scene.cursor.location
     left = (1.0 - expected) * height
@@ -135,14 +136,14 @@ def _mark(
     for k, point in enumerate(spline.points):
         angle = 2 * math.pi * k / _SIDES
         point.co = (1.1 * height * math.cos(angle), 1.1 * height * math.sin(angle), 0.0, 1.0)
-    text = bpy.data.curves.new("Expected slump in words", "FONT")
+    text = bpy.data.curves.new("Expected slump text", "FONT")
     text.body = (
         f"expected slump {expected:.2f} of the height:\n"
-        f"the top comes to rest {left * scale * 1e3:.0f} mm high\n(Pashias et al. 1996)"
+        f"the top comes to rest at {left * scale * 1e3:.0f} mm\n(Pashias et al. 1996)"
     )
     text.size = 0.12 * height
     items = []
-    for name, data in (("Expected slump", line), ("Expected slump in words", text)):
+    for name, data in (("Expected slump", line), ("Expected slump text", text)):
         data.materials.append(paint)
         item = bpy.data.objects.new(name, data)
         context.collection.objects.link(item)

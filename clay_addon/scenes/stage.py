@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the ready-made scenes share: their data, a table, lights, a camera, and how they show."""
+"""What the ready-made scenes share: presets, table, lights, camera, and view settings."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .parts import Vec3, mesh_object, plain_material
 _PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "scenes"
 
 FRAMES_PER_SECOND = 60
-"""Of the scenes that move."""
+"""Frame rate of animated scenes [1/s]."""
 
 _TABLE_HALF = 0.3
-"""Half the side of a table top [m]; to the clay it has no end."""
+"""Half the side of a visible table top [m]; as a collider it is infinite."""
 _TABLE_FRICTION = 0.8
 
 
@@ -32,11 +32,11 @@ def scene_preset(name: str) -> dict[str, Any]:
 
 
 def add_table(context: bpy.types.Context, place: Sequence[float]) -> bpy.types.Object:
-    """Add a table top: to the clay an endless plane.
+    """Add a table top, which collides as an endless plane.
 
     Args:
-        context: Its collection takes it.
-        place: The top's middle [Blender units].
+        context: Its collection gets the table.
+        place: Center of the top [Blender units].
     """
     half = from_meters(context.scene, _TABLE_HALF)
     corners = half * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], np.float64)
@@ -50,14 +50,14 @@ def add_table(context: bpy.types.Context, place: Sequence[float]) -> bpy.types.O
 def add_area_light(
     context: bpy.types.Context, name: str, place: Vec3, energy: float, size: float, color: Vec3
 ) -> bpy.types.Object:
-    """Add a square light that looks at the world's origin.
+    """Add a square light that points at the world origin.
 
     Args:
-        context: Its collection takes it.
-        name: Of the light.
-        place: Where it is [m].
+        context: Its collection gets the light.
+        name: Name of the light.
+        place: Location [m].
         energy: Power [W].
-        size: Side [m].
+        size: Side length [m].
         color: Linear RGB.
     """
     light = bpy.data.lights.new(name, "AREA")
@@ -70,7 +70,7 @@ def add_area_light(
 
 
 def add_room_light(context: bpy.types.Context, strength: float) -> None:
-    """Light the scene evenly with a little of a blueish white."""
+    """Add even, bluish-white ambient light."""
     world = bpy.data.worlds.new("Room")
     if bpy.app.version < (5, 0, 0):
         world.use_nodes = True
@@ -86,9 +86,9 @@ def add_camera(
     """Add the scene's camera.
 
     Args:
-        context: Its scene takes it.
-        place: Where it is [m].
-        target: What it looks at [m].
+        context: Its scene gets the camera.
+        place: Location [m].
+        target: Point it looks at [m].
         lens: Focal length [mm].
     """
     camera = bpy.data.cameras.new("Camera")
@@ -101,8 +101,8 @@ def add_camera(
     return item
 
 
-def set_clock_and_units(scene: bpy.types.Scene, frame_count: int) -> None:
-    """Let a scene run from frame 1, in centimeters."""
+def set_time_and_units(scene: bpy.types.Scene, frame_count: int) -> None:
+    """Set a scene's frame range, starting at 1, its frame rate, and centimeters as unit."""
     scene.frame_start, scene.frame_end = 1, frame_count
     scene.frame_set(1)
     scene.render.fps, scene.render.fps_base = FRAMES_PER_SECOND, 1.0
@@ -111,7 +111,7 @@ def set_clock_and_units(scene: bpy.types.Scene, frame_count: int) -> None:
 
 
 def set_render(scene: bpy.types.Scene, width: int, height: int) -> None:
-    """Render with Cycles, at a size [pixels] and a number of samples that show clay well."""
+    """Set up Cycles for a resolution [pixels], with settings that suit clay."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_x, scene.render.resolution_y = width, height
     scene.cycles.samples = 64
@@ -123,8 +123,8 @@ def set_render(scene: bpy.types.Scene, width: int, height: int) -> None:
 
 
 def look_through_camera(context: bpy.types.Context) -> None:
-    """Let whoever sees the scene see it through its camera, in color."""
-    # A file made without a window is opened with any of its workspaces.
+    """Switch the 3D views to the scene's camera and Material Preview."""
+    # A file made without a window may be opened in any of its workspaces.
     screens = [context.screen] if context.screen else bpy.data.screens
     for screen in screens:
         for area in screen.areas:
@@ -135,12 +135,12 @@ def look_through_camera(context: bpy.types.Context) -> None:
 
 
 def look_at(context: bpy.types.Context, center: Sequence[float], size: float) -> None:
-    """Bring something into the 3D view in use, if it would be a speck or out of sight there.
+    """Frame something in the current 3D view, if it would be tiny or out of sight there.
 
     Args:
-        context: Its region is that of the view; elsewhere nothing happens.
-        center: Its middle [Blender units].
-        size: How large it is [Blender units].
+        context: Its region must be that of a 3D view; otherwise nothing happens.
+        center: Center of what to show [Blender units].
+        size: Size of what to show [Blender units].
     """
     view = context.region_data
     if not isinstance(view, bpy.types.RegionView3D):

@@ -2,10 +2,10 @@
 """The potter's wheel scene: two hands throw a pot from a lump of clay.
 
 After figure 7 of Barreiro, Torres and Otaduy, *Natural Tactile Interaction with Virtual Clay*,
-WHC 2021: 4,169 particles on a wheel that turns 100 times a minute. The pedal is pressed, the hands
-center the lump, open it, and raise its wall; then the pedal is let go.
+WHC 2021: 4,169 particles on a wheel that turns at 100 rpm. The wheel speeds up, the hands center
+the lump, open it and raise its wall, and the wheel slows down again.
 
-All of it are ordinary objects with modifiers, armatures and keyframes, to be changed by hand.
+Everything is an ordinary object with modifiers, armatures and keyframes, and can be edited.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from .stage import (
     add_camera,
     add_room_light,
     look_through_camera,
-    set_clock_and_units,
     set_render,
+    set_time_and_units,
 )
-from .wheel_hands import LAST_FRAME, PEDAL, add_hands
+from .wheel_hands import LAST_FRAME, WHEEL_SPEEDS, add_hands
 
 PARTICLE_COUNT = 4169
-"""As many particles as the paper's wheel scene has."""
+"""Number of particles, as in the paper's wheel scene."""
 SPACING = 0.005
 """Distance between particles [m]."""
 FRAME_COUNT = LAST_FRAME
 FRAMES_PER_SECOND = 30
 WHEEL_RADIUS = 0.13
-"""Of the wheel head [m]."""
+"""Radius of the wheel head [m]."""
 _WHEEL_FRICTION = 2.5
 _WHEEL_ADHESION = 60000.0
-"""Wet clay sticks to a wheel head: it takes a wire to cut a pot off [Pa]."""
+"""High, as wet clay sticks to a wheel head: it takes a wire to cut a pot off [Pa]."""
 _CLAY_COLOR = (0.36, 0.165, 0.085)
-"""Of red earthenware, linear RGB."""
+"""Linear RGB of red earthenware."""
 
 
 _LIGHTS = (
@@ -56,36 +56,36 @@ _LIGHTS = (
 
 @dataclass(frozen=True)
 class WheelScene:
-    """What the scene is made of."""
+    """The objects of the scene."""
 
     clay: bpy.types.Object
     """The clay, a point cloud."""
     lump: bpy.types.Object
     """The mesh it was made from, hidden."""
     wheel: bpy.types.Object
-    """The wheel head; its speed is keyed."""
+    """The wheel head, with keyframed speed."""
     hands: tuple[bpy.types.Object, ...]
-    """The right and the left clay hand, keyed."""
+    """The right and the left clay hand, with keyframes."""
 
 
 def build(context: bpy.types.Context) -> WheelScene:
-    """Build the scene into an empty Blender scene, ready to bake and to render.
+    """Build the scene in an empty Blender scene, ready to bake and render.
 
     Args:
-        context: Its scene is filled.
+        context: The context with the scene to fill.
     """
     scene = context.scene
     scene.name = "Potter's wheel"
-    set_clock_and_units(scene, FRAME_COUNT)
+    set_time_and_units(scene, FRAME_COUNT)
     scene.render.fps = FRAMES_PER_SECOND
     wheel = _add_wheel(context)
     lump = _add_lump(context)
     clay = make_clay(context, [lump], SPACING, "throwing_clay", "Throwing clay")
-    # Softer than from the bag: it has been kneaded, and water is added while it is thrown.
+    # Softer than the preset: it has been kneaded, and water is added while it is thrown.
     properties = clay.tactile_clay
     properties.yield_stress, properties.shear_modulus = 5000.0, 250000.0
     properties.viscosity = 200.0
-    _press_pedal(wheel)
+    _key_speed(wheel)
     hands = add_hands(context)
     _add_pan()
     _add_room(context)
@@ -99,7 +99,7 @@ def build(context: bpy.types.Context) -> WheelScene:
 
 
 def _add_lump(context: bpy.types.Context) -> bpy.types.Object:
-    """A ball of clay thrown onto the wheel, not quite round and not quite centered."""
+    """Add a ball of clay on the wheel, not quite round and not quite centered."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=1.0)
     item = context.object
     item.name = item.data.name = "Lump"
@@ -117,9 +117,9 @@ def _add_lump(context: bpy.types.Context) -> bpy.types.Object:
     return item
 
 
-def _press_pedal(wheel: bpy.types.Object) -> None:
+def _key_speed(wheel: bpy.types.Object) -> None:
     properties = wheel.tactile_clay
-    for frame, speed in PEDAL:
+    for frame, speed in WHEEL_SPEEDS:
         properties.wheel_speed = speed
         properties.keyframe_insert("wheel_speed", frame=frame)
 
@@ -127,12 +127,12 @@ def _press_pedal(wheel: bpy.types.Object) -> None:
 def _lathed(
     name: str, profile: Sequence[tuple[float, float]], segments: int = 96
 ) -> bpy.types.Object:
-    """A closed solid of revolution.
+    """Add a closed solid of revolution.
 
     Args:
-        name: Of the object.
+        name: Name of the object.
         profile: Radius and height [m], from the axis at the bottom to the axis at the top.
-        segments: Around the axis.
+        segments: Number of segments around the axis.
     """
     angles = np.linspace(0.0, tau, segments, endpoint=False)
     inner = profile[1:-1]
@@ -171,7 +171,7 @@ def _add_pan() -> None:
             (0.0, -0.086),
         ),
     )
-    # From the bottom up outside, and down inside: the profile runs the other way round.
+    # This profile runs up the inside and down the outside, so its faces point inward.
     pan.data.flip_normals()
     pan.data.shade_smooth()
     pan.modifiers.new("Soft", "SUBSURF").render_levels = 1
@@ -179,14 +179,14 @@ def _add_pan() -> None:
 
 
 def _add_room(context: bpy.types.Context) -> None:
-    """Add the table behind, far below the wheel head."""
+    """Add a bench below the wheel head, as background."""
     corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     floor = mesh_object("Bench", 3.0 * corners + (0.0, 0.0, -0.10), [(0, 1, 2, 3)])
     floor.data.materials.append(plain_material("Bench", (0.42, 0.36, 0.30), 0.7))
 
 
 def _metal() -> bpy.types.Material:
-    """Turned metal with a film of slip, in blotches, so that its turning shows."""
+    """Metal with blotches of slip, which make its rotation visible."""
     material = plain_material("Wheel head", (0.52, 0.53, 0.54), 0.35)
     tree = material.node_tree
     shader = tree.nodes["Principled BSDF"]

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two hands of the potter's wheel scene, and what they do: a pot is thrown in 8 seconds.
+"""The two hands of the potter's wheel scene, which throw a pot in 8 seconds.
 
-The potter sits at +Y. Both palms center the lump; then the two index fingers open it and draw
-apart, so that its wall rises. Whatever one hand does the other does opposite: nothing pushes the
-clay off the axis, and nobody has to steady it.
+The potter sits at +Y. Both palms center the lump; then the two index fingers open it and move
+apart, so that its wall rises. The hands mirror each other, so nothing pushes the clay off the axis.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from .hand_keys import HandHold, HandKey, add_sleeve, key_hand
 HAND_LENGTH = 0.19
 """From wrist to fingertip [m]."""
 LAST_FRAME = 240
-PEDAL = ((1, 0.0), (20, 100.0), (206, 100.0), (236, 0.0))
-"""Frames, and the wheel's speed [rpm] there."""
+WHEEL_SPEEDS = ((1, 0.0), (20, 100.0), (206, 100.0), (236, 0.0))
+"""Frames, and the wheel's speed at each [rpm]."""
 _FRICTION = 0.03
 """Coulomb friction coefficient of wet hands."""
 
@@ -50,26 +49,26 @@ _OPEN_LEFT = HandHold(_FINGER, (-0.22, -0.10, -0.97), (0.0, -1.0, 0.1), ("index_
 def _both(
     frame: int, right: HandHold, left: HandHold, place: tuple[float, float, float]
 ) -> tuple[HandKey, HandKey]:
-    """Hold both hands as in a mirror.
+    """Keys of both hands, mirrored across x = 0.
 
     Args:
-        frame: When.
-        right: How the right hand is held.
-        left: How the left one is.
-        place: Of the left hand's anchor [m].
+        frame: Frame of the keys.
+        right: Hold of the right hand.
+        left: Hold of the left hand.
+        place: Location of the left hand's anchor [m].
     """
     x, y, z = place
     return HandKey(frame, right, (-x, y, z)), HandKey(frame, left, (x, y, z))
 
 
 _KEYS = (
-    # They come, and center the lump.
+    # Both hands approach and center the lump.
     _both(1, _CUP_RIGHT, _CUP_LEFT, (0.130, 0.0, 0.080)),
     _both(22, _CUP_RIGHT, _CUP_LEFT, (0.084, 0.0, 0.036)),
     _both(56, _CUP_RIGHT, _CUP_LEFT, (0.0715, 0.0, 0.036)),
     _both(62, _CUP_RIGHT, _CUP_LEFT, (0.0715, 0.0, 0.036)),
     _both(70, _CUP_RIGHT, _CUP_LEFT, (0.120, 0.0, 0.060)),
-    # Two fingers open it, and draw apart.
+    # Two fingers open it and move apart.
     _both(78, _OPEN_RIGHT, _OPEN_LEFT, (0.050, 0.0, 0.120)),
     _both(86, _OPEN_RIGHT, _OPEN_LEFT, (0.010, 0.0, 0.068)),
     _both(140, _OPEN_RIGHT, _OPEN_LEFT, (0.009, 0.0, 0.022)),
@@ -81,13 +80,13 @@ _KEYS = (
 
 
 def add_hands(context: bpy.types.Context) -> tuple[bpy.types.Object, ...]:
-    """Add both hands, bound for the scene's clay and keyed.
+    """Add both hands as clay hands, with keyframes.
 
     Args:
-        context: Its scene has the clay already.
+        context: Its scene already contains the clay.
 
     Returns:
-        The right and the left hand's mesh.
+        The meshes of the right and the left hand.
     """
     hands = []
     for side, keys in zip(("right", "left"), zip(*_KEYS, strict=True), strict=True):

@@ -24,11 +24,11 @@ class CLAY_OT_sculpt_tool(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: Any) -> str:
-        """What the tool does."""
+        """The tool's description, as tooltip."""
         return BY_IDENTIFIER[properties.tool].description
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Choose it."""
+        """Set the tool."""
         context.scene.tactile_clay_sculpt.tool = self.tool
         return {"FINISHED"}
 
@@ -49,12 +49,12 @@ class CLAY_MT_sculpt_tools(bpy.types.Menu):  # noqa: N801
 
 
 def draw_brush(layout: Any, properties: Any, *, compact: bool) -> None:
-    """Draw the settings of the brush that its tool uses.
+    """Draw the brush's tool and the settings that it uses.
 
     Args:
-        layout: Where to draw.
+        layout: The layout to draw in.
         properties: ``Scene.tactile_clay_sculpt``.
-        compact: In one line, for a header.
+        compact: Whether to draw on one line, for a header.
     """
     tool = BY_IDENTIFIER[properties.tool]
     unnamed = {"text": ""} if compact else {}
@@ -98,14 +98,14 @@ _CLASSES = (CLAY_OT_sculpt_tool, CLAY_MT_sculpt_tools)
 
 
 def register() -> None:
-    """Register the menu, and append to the tool header."""
+    """Register the classes and extend the tool header."""
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
     bpy.types.VIEW3D_HT_tool_header.append(_draw_in_header)
 
 
 def unregister() -> None:
-    """Remove them again."""
+    """Unregister the classes and restore the tool header."""
     bpy.types.VIEW3D_HT_tool_header.remove(_draw_in_header)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Alt C in Object Mode starts sculpting; Blender itself does not use that key."""
+"""Keymap: Alt C in Object Mode, which Blender itself does not use, starts sculpting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _entries: list[tuple[Any, Any]] = []
 def register() -> None:
     """Add the key to the add-on keymap, where users can change it."""
     keyconfig = bpy.context.window_manager.keyconfigs.addon
-    # There is none in the background.
+    # It is None in the background.
     if keyconfig is None or _entries:
         return
     keymap = keyconfig.keymaps.new(name="Object Mode", space_type="EMPTY")

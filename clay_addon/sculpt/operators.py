@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Sculpt operator, which runs the live session, and the operators that end or revert it."""
+"""The Sculpt operator, which runs the live session, and operators that end or revert it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .overlay import overlay
 from .properties import SceneSource
 
 _TICK_SECONDS = 1.0 / 120.0
-"""Twice the rate of steps, so that the solver hardly waits for the next tick [s]."""
-_PEDAL = {"PAGE_UP": 10.0, "PAGE_DOWN": -10.0}
+"""Timer interval [s]: half a step, so that the solver hardly waits for the next tick."""
+_SPEED_KEYS = {"PAGE_UP": 10.0, "PAGE_DOWN": -10.0}
 """Keys that change the speed of a potter's wheel, and by how much [rpm]."""
 _COMPILING_AFTER = 0.5
-"""If the solver takes longer than this to get ready, kernels are being compiled [s]."""
+"""If the solver takes longer than this to start [s], kernels are being compiled."""
 
 
 class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
@@ -36,20 +36,20 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
     _timer: bpy.types.Timer | None = None
     _session: SculptSession | None = None
     _brush: Brush | None = None
-    _said = ""
+    _shown_status = ""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only one session at a time."""
+        """Available while no session is running."""
         return current.session is None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Refuse without a window: a session runs in real time, for somebody who watches."""
+        """Refuse to run without a window, as a session is interactive."""
         self.report({"ERROR"}, "Sculpt needs a window. To simulate without one, use Bake.")
         return {"CANCELLED"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Start."""
+        """Start a session."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         try:
@@ -63,19 +63,19 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
         manager = context.window_manager
         self._timer = manager.event_timer_add(_TICK_SECONDS, window=context.window)
         manager.modal_handler_add(self)
-        self._say(context)
+        self._update_status(context)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Handle the timer, the mouse and keys."""
         running, brush = self._session, self._brush
-        # Finish, another file or disabling the extension may have ended it.
+        # Finish, another file or disabling the extension may have ended the session.
         if running is None or brush is None or current.session is not running:
             return self._end(context)
         try:
             if event.type == "TIMER":
                 news = running.tick(context)
-                self._say(context)
+                self._update_status(context)
                 if news:
                     redraw_views()
                 return {"PASS_THROUGH"}
@@ -85,8 +85,8 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             if opens_tool_menu(event, brush):
                 bpy.ops.wm.call_menu(name="CLAY_MT_sculpt_tools")
                 return {"RUNNING_MODAL"}
-            if event.type in _PEDAL and event.value == "PRESS" and running.wheels:
-                running.wheels.press_pedal(context.scene, _PEDAL[event.type])
+            if event.type in _SPEED_KEYS and event.value == "PRESS" and running.wheels:
+                running.wheels.change_speeds(context.scene, _SPEED_KEYS[event.type])
                 return {"RUNNING_MODAL"}
             if event.type == "ESC" and event.value == "PRESS":
                 return self._end(context)
@@ -94,22 +94,22 @@ class CLAY_OT_sculpt(bpy.types.Operator):  # noqa: N801
             self.report({"ERROR"}, f"Sculpting has ended. {error}")
             return self._end(context)
         except BaseException:
-            # Never leave a session half running.
+            # Never leave a session running without its operator.
             self._end(context)
             raise
         return {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
-        """End with the operator, as when Blender opens another file or closes the window."""
+        """End the session when Blender cancels the operator, as when it closes the window."""
         self._end(context)
 
-    def _say(self, context: bpy.types.Context) -> None:
+    def _update_status(self, context: bpy.types.Context) -> None:
         """Update the status bar if its text has changed."""
         assert self._session is not None and self._brush is not None
         text = status_text(self._session, self._brush)
-        if text != self._said and context.workspace:
+        if text != self._shown_status and context.workspace:
             context.workspace.status_text_set(text)
-            self._said = text
+            self._shown_status = text
 
     def _end(self, context: bpy.types.Context) -> set[str]:
         running, self._session = self._session, None
@@ -140,7 +140,7 @@ class CLAY_OT_sculpt_finish(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only while a session runs."""
+        """Available while a session is running."""
         return current.session is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -150,7 +150,7 @@ class CLAY_OT_sculpt_finish(bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
-    """Revert everything that the last session did, in one undo step"""
+    """Revert everything done in the last session, in one undo step"""
 
     bl_idname = "clay.sculpt_revert"
     bl_label = "Revert Session"
@@ -158,11 +158,11 @@ class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only if the clay before the last session is known, and no session is running."""
+        """Available if no session is running and the clay before the last one is known."""
         return current.session is None and bool(current.clay_before)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Give each clay object the points it had before."""
+        """Restore the points that each clay object had before the session."""
         found = 0
         for name, (local, colors) in current.clay_before.items():
             item = context.scene.objects.get(name)
@@ -178,7 +178,7 @@ class CLAY_OT_sculpt_revert(bpy.types.Operator):  # noqa: N801
 
 
 def opens_tool_menu(event: Any, brush: Brush) -> bool:
-    """Whether an event asks for the menu of tools, on the key of Blender's own toolbar popup."""
+    """Whether an event opens the tool menu: Shift Space, as for Blender's own toolbar pop-up."""
     return bool(
         event.type == "SPACE"
         and event.shift
@@ -188,22 +188,22 @@ def opens_tool_menu(event: Any, brush: Brush) -> bool:
 
 
 def status_text(running: SculptSession, brush: Brush) -> str:
-    """What the session is doing, as a line for the status bar."""
+    """What the session is doing, as text for the status bar."""
     seconds = running.compiling_seconds
     if seconds > _COMPILING_AFTER:
         return (
-            f"Compiling the clay's kernels: {seconds:.0f} s. This happens once after installing "
+            f"Compiling the clay's kernels: {seconds:.0f} s. This happens once after installation "
             "and takes about a minute   Esc: stop"
         )
     factor = round(10.0 * running.factor)
     pace = "" if factor >= 10 else f" at {10 * factor} % of real time"
-    pedal = "   Page Up, Page Down: wheel faster, slower" if running.wheels else ""
-    return f"Sculpting{pace}   {brush.status_text()}{pedal}"
+    keys = "   Page Up, Page Down: wheel faster, slower" if running.wheels else ""
+    return f"Sculpting{pace}   {brush.status_text()}{keys}"
 
 
 @persistent
 def _on_load_pre(*_: object) -> None:
-    # What was sculpted since the file was saved is lost like all unsaved changes.
+    # Sculpting since the file was saved is lost like all unsaved changes.
     current.stop(None)
 
 
@@ -243,7 +243,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """End the session that runs, if any; unregister everything."""
+    """End a running session and unregister everything."""
     current.stop(bpy.context)
     remove_handlers(_HANDLERS)
     for cls in reversed(_CLASSES):

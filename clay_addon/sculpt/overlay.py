@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse, drawn over the 3D view. It is not an object, so Undo, files and the
-Outliner do not contain it."""
+"""Drawing the brush's tool over the 3D view. It is not an object, so Undo, files and the Outliner
+do not contain it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ..core.brush.brush import Brush
 from ..core.brush.mirror import mirror_matrices
 from ..core.tools.settings import ToolMesh
 
-_FELT = (0.82, 0.80, 0.76, 0.92)
-_UNFELT = (0.82, 0.80, 0.76, 0.45)
-"""Colors of a tool that the clay feels, and of one that hovers; linear RGBA."""
+_TOUCHING = (0.82, 0.80, 0.76, 0.92)
+_HOVERING = (0.82, 0.80, 0.76, 0.45)
+"""Colors of a tool that acts on the clay, and of one that hovers; linear RGBA."""
 _RING = (1.0, 1.0, 1.0, 0.55)
 _ARC = (1.0, 0.55, 0.25, 0.95)
 _SEGMENTS = 64
 _SHARP = np.cos(np.radians(40.0))
-"""Cosine of the angle at which an edge is drawn sharp."""
+"""Cosine of the angle from which an edge is drawn sharp."""
 
 _VERTEX = """
 void main()
@@ -46,17 +46,17 @@ void main()
 
 
 class BrushOverlay:
-    """Draws a brush over every 3D view, from `show` to `hide`."""
+    """Draws a brush over every 3D view between `show` and `hide`."""
 
     def __init__(self) -> None:
         self.brush: Brush | None = None
-        """What is drawn; None while nothing is."""
+        """The brush that is drawn, if any."""
         self._handle: Any = None
         self._shader: Any = None
         self._batches: dict[int, tuple[ToolMesh, Any]] = {}
 
     def show(self, brush: Brush) -> None:
-        """Draw a brush from now on; in the background nothing is drawn."""
+        """Start drawing a brush; in the background nothing is drawn."""
         self.brush = brush
         if self._handle is None and not bpy.app.background:
             self._handle = bpy.types.SpaceView3D.draw_handler_add(
@@ -72,7 +72,7 @@ class BrushOverlay:
             self._handle = None
 
     def forget_shader(self) -> None:
-        """Release the shader, which is made again when it is needed."""
+        """Release the shader, which is created again when needed."""
         self._shader = None
 
     def _draw(self) -> None:
@@ -87,9 +87,9 @@ class BrushOverlay:
         """Draw a brush with the current matrices of the GPU module.
 
         Args:
-            brush: Its tool, copies and cursor.
-            view_matrix: Camera space from the world [Blender units], shape [4, 4].
-            scale: Meters in a Blender unit.
+            brush: The brush; its tool, mirrored copies and cursor are drawn.
+            view_matrix: World to camera space [Blender units], shape [4, 4].
+            scale: Length of a Blender unit [m].
         """
         import gpu
 
@@ -97,8 +97,8 @@ class BrushOverlay:
             gpu.state.blend_set("ALPHA")
             drawn = brush.drawn()
             self._forget_batches([mesh for mesh, _, _ in drawn])
-            for mesh, pose, felt in drawn:
-                self._draw_mesh(mesh, pose, view_matrix, scale, _FELT if felt else _UNFELT)
+            for mesh, pose, enabled in drawn:
+                self._draw_mesh(mesh, pose, view_matrix, scale, _TOUCHING if enabled else _HOVERING)
             if brush.cursor is not None:
                 _draw_ring(brush, scale)
         finally:
@@ -131,7 +131,7 @@ class BrushOverlay:
         shader.uniform_float("color", color)
         gpu.state.depth_test_set("LESS_EQUAL")
         gpu.state.depth_mask_set(True)
-        # Mirroring turns the triangles inside out.
+        # Mirroring reverses the winding of the triangles.
         gpu.state.face_culling_set("FRONT" if np.linalg.det(model[:3, :3]) < 0.0 else "BACK")
         self._batch(mesh, shader).draw(shader)
 
@@ -175,7 +175,7 @@ overlay = BrushOverlay()
 
 
 def shaded_corners(mesh: ToolMesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Corners of a mesh's triangles with normals that are smooth except at sharp edges.
+    """Corners of a mesh's triangles, with normals that are smooth except at sharp edges.
 
     Returns:
         Positions [m] and unit normals, shape [3 F, 3] each.
@@ -224,16 +224,16 @@ def _draw_ring(brush: Brush, scale: float) -> None:
 def ring_points(
     point: NDArray[np.float64], normal: NDArray[np.float64], radius: float, part: float = 1.0
 ) -> NDArray[np.float64]:
-    """A circle around a normal, or the first part of one.
+    """Points along a circle around a normal, or along part of it.
 
     Args:
         point: Center [m], shape [3].
         normal: Unit vector, shape [3].
-        radius: Its radius [m].
+        radius: Radius [m].
         part: Fraction of the circle, 0 to 1.
 
     Returns:
-        Points of a line [m], shape [S, 3].
+        Points of a polyline [m], shape [S, 3].
     """
     up = tangent_of(np.array((0.0, 0.0, 1.0)), normal, np.array((0.0, 1.0, 0.0)))
     x, y, _ = frame_of(normal, up).T
@@ -243,7 +243,7 @@ def ring_points(
 
 
 def register() -> None:
-    """Nothing to do: drawing begins with a session."""
+    """Nothing to register: drawing starts with a session."""
 
 
 def unregister() -> None:

@@ -14,7 +14,7 @@ from .live.session import SculptSession
 
 
 class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
-    """Sculpt, record takes, and set the brush."""
+    """Sculpt, record takes, and set up the brush."""
 
     bl_label = "Sculpt"
     bl_order = 1
@@ -53,7 +53,7 @@ class CLAY_PT_sculpt(bpy.types.Panel):  # noqa: N801
 
 
 def speed_text(running: SculptSession) -> str:
-    """The speed of simulated time, in words."""
+    """The speed of simulated time relative to real time, as text."""
     if not running.pace.started:
         return "Getting ready …"
     if running.factor > 0.95:
@@ -67,5 +67,5 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister it."""
+    """Unregister the panel."""
     bpy.utils.unregister_class(CLAY_PT_sculpt)

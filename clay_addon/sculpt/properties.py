@@ -26,7 +26,7 @@ _RADIUS = 0.012
 
 
 def _get_radius(properties: Any) -> float:
-    # The size of a fingertip at any unit scale, until a value is chosen.
+    # The size of a fingertip at any unit scale, until a value is set.
     return properties.radius_chosen or from_meters(properties.id_data, _RADIUS)
 
 
@@ -62,7 +62,7 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
     radius_chosen: bpy.props.FloatProperty(options={"HIDDEN"})
     strength: bpy.props.FloatProperty(
         name="Strength",
-        description="How deep the tool goes, or how much paint it leaves (Shift F)",
+        description="How deep the tool goes, or how much paint it applies (Shift F)",
         subtype="FACTOR",
         default=0.5,
         min=0.0,
@@ -70,7 +70,7 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
     )
     use_pressure: bpy.props.BoolProperty(
         name="Pressure",
-        description="A pen's pressure changes the strength",
+        description="Pen pressure affects the strength",
         default=True,
     )
     mirror_x: bpy.props.BoolProperty(
@@ -84,7 +84,7 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
     )
     color: bpy.props.FloatVectorProperty(
         name="Color",
-        description="Color of paint, and of clay that is added",
+        description="Color of paint and added clay",
         subtype="COLOR",
         size=3,
         min=0.0,
@@ -93,17 +93,17 @@ class ClaySculptProperties(bpy.types.PropertyGroup):
     )
     stamp: bpy.props.PointerProperty(
         name="Stamp",
-        description="Closed mesh whose underside the stamp presses into the clay",
+        description="Closed mesh whose underside is pressed into the clay",
         type=bpy.types.Object,
         poll=_is_mesh,
     )
 
 
 class SceneSource:
-    """Reads a brush's settings from a scene, and writes the radius and strength to it.
+    """Reads a brush's settings from a scene, and writes radius and strength back.
 
     Args:
-        scene: It is found by name each time, since Undo replaces the object.
+        scene: The scene; looked up by name each time, as Undo replaces the object.
     """
 
     def __init__(self, scene: bpy.types.Scene) -> None:
@@ -112,7 +112,7 @@ class SceneSource:
         self._last = BrushSettings()
 
     def read(self) -> BrushSettings:
-        """What is set now."""
+        """The current settings; the last ones if the scene was deleted."""
         scene = bpy.data.scenes.get(self._name)
         if scene is None:
             return self._last
@@ -160,6 +160,7 @@ class SceneSource:
 
 
 _stamp_faults: dict[str, str] = {}
+"""Why objects cannot be stamps, by `_stamp_key`."""
 
 
 def _stamp_key(item: bpy.types.Object) -> str:
@@ -168,18 +169,18 @@ def _stamp_key(item: bpy.types.Object) -> str:
 
 
 def stamp_fault(item: bpy.types.Object | None) -> str:
-    """Why an object cannot be a stamp; empty if it can be, or was not tried yet."""
+    """Why an object cannot be a stamp; empty if it can be, or has not been tried yet."""
     if item is None or item.type != "MESH":
         return ""
     return _stamp_faults.get(_stamp_key(item), "")
 
 
 def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float64]:
-    """World from the frame whose planes mirror [m]: the active clay object's, or the first one's.
+    """Matrix from the mirror frame to the world [m]: the active clay object's, or the first one's.
 
     Args:
         clay: The clay objects of a scene.
-        scale: Meters in a Blender unit.
+        scale: Length of a Blender unit [m].
     """
     if not clay:
         return np.eye(4)
@@ -194,31 +195,33 @@ def mirror_frame(clay: list[bpy.types.Object], scale: float) -> NDArray[np.float
     return frame
 
 
-_held: dict[str, dict[str, Any]] = {}
+_saved_brushes: dict[str, dict[str, Any]] = {}
 
 
 @persistent
 def _before_undo(*_: object) -> None:
-    # Undo does not change the brush, as with Blender's own brushes.
-    # What was held before an undo that was not taken up yet still counts.
-    if current.session is not None and not _held:
+    # Undo must not change the brush, as with Blender's own brushes.
+    # If an earlier undo has not been handled yet, the brushes saved then still count.
+    if current.session is not None and not _saved_brushes:
         for scene in bpy.data.scenes:
             properties = scene.tactile_clay_sculpt
-            _held[scene.name] = {name: _value(properties, name) for name in _KEPT}
+            _saved_brushes[scene.name] = {
+                name: _value(properties, name) for name in _SAVED_PROPERTIES
+            }
 
 
 @persistent
 def _after_undo(*_: object) -> None:
-    later.ask(_take_back_brush)
+    later.schedule(_restore_brushes)
 
 
-def _take_back_brush() -> None:
-    for scene_name, values in _held.items():
+def _restore_brushes() -> None:
+    for scene_name, values in _saved_brushes.items():
         scene = bpy.data.scenes.get(scene_name)
         if scene is not None:
             for name, value in values.items():
                 setattr(scene.tactile_clay_sculpt, name, value)
-    _held.clear()
+    _saved_brushes.clear()
 
 
 def _value(properties: Any, name: str) -> Any:
@@ -226,7 +229,7 @@ def _value(properties: Any, name: str) -> Any:
     return tuple(value) if name == "color" else value
 
 
-_KEPT = (
+_SAVED_PROPERTIES = (
     "tool", "radius_chosen", "strength", "use_pressure", "mirror_x", "mirror_y", "mirror_z", "color"
 )  # fmt: skip
 _HANDLERS = (
@@ -245,7 +248,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove the properties; the values in a .blend stay."""
+    """Remove the properties; the values in the .blend remain."""
     remove_handlers(_HANDLERS)
     del bpy.types.Scene.tactile_clay_sculpt
     bpy.utils.unregister_class(ClaySculptProperties)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The user's own stamp: any closed mesh object as a sculpting tool."""
+"""Custom stamps: any closed mesh object as a sculpting tool."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ import bpy
 import numpy as np
 
 from ...solver.geometry.closed_mesh import MeshError, check_closed_mesh
-from ..base.mesh_geometry import SWITCHED_OFF, evaluated_mesh, is_switched_off, transform, turn_for
+from ..base.mesh_geometry import (
+    SWITCHED_OFF,
+    evaluated_mesh,
+    is_switched_off,
+    oriented_triangles,
+    transform,
+)
 from ..core.tools.presets import ToolPreset, ToolPresetError, load_tool_preset
 
 
 def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> ToolPreset:
-    """A stamp in the shape of a mesh object, modifiers and scale applied.
+    """A stamp with the shape of a mesh object, with modifiers and scale applied.
 
-    The object's own -Z is the face that prints. It is moved so that its lowest point is at height
-    0 amid its extent, and scaled so that it fits a circle of one brush radius seen along Z.
+    The side that faces the object's local -Z leaves the imprint. The mesh is centered in x and y
+    with its lowest point at height 0, and scaled to fit a circle of radius 1 seen along Z.
 
     Args:
         item: A closed mesh object; it is not changed.
@@ -38,7 +44,7 @@ def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
     matrix = np.diag((*scale, 1.0))
     try:
         vertices, triangles = check_closed_mesh(
-            transform(matrix, vertices), turn_for(matrix, triangles), name=repr(item.name)
+            transform(matrix, vertices), oriented_triangles(matrix, triangles), name=repr(item.name)
         )
     except MeshError as error:
         raise ToolPresetError(str(error)) from error
@@ -49,7 +55,7 @@ def stamp_from_object(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) ->
         load_tool_preset("stamp"),
         name=item.name,
         label=item.name,
-        description=f"Prints the shape of {item.name}",
+        description=f"Imprints the shape of {item.name}",
         vertices=vertices,
         faces=triangles,
     )

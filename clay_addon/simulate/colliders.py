@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from ...solver.geometry.rotations import rotation_and_stretch
 from ...solver.geometry.sheet import sheet_triangles, sheet_vertices
-from ..base.mesh_geometry import evaluated_mesh, flat_plane, is_absent, transform, turn_for
+from ..base.mesh_geometry import (
+    evaluated_mesh,
+    flat_plane,
+    is_absent,
+    oriented_triangles,
+    transform,
+)
 from ..base.units import to_meters
 from ..model.clay_scene import SimulationError, is_enabled
 from ..model.collider import ColliderError, resolve_kind
@@ -182,7 +188,7 @@ def read_collider(
     matrix = np.array(item.evaluated_get(depsgraph).matrix_world, np.float64)
     _, stretch = rotation_and_stretch(matrix[:3, :3])
     if kind == "MESH":
-        return MovingCollider(item, vertices, turn_for(matrix, triangles), stretch)
+        return MovingCollider(item, vertices, oriented_triangles(matrix, triangles), stretch)
     flat = flat_plane(transform(matrix, vertices))
     assert flat is not None
     point, normal = flat
@@ -214,7 +220,7 @@ def read_collider(
     own /= np.linalg.norm(own)
     sheet = Sheet(own, SHEET_THICKNESS * spacing)
     faces = sheet_triangles(vertices, triangles, own)
-    return MovingCollider(item, vertices, turn_for(matrix, faces), stretch, sheet)
+    return MovingCollider(item, vertices, oriented_triangles(matrix, faces), stretch, sheet)
 
 
 def _is_cut(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...solver.geometry.rotations import quaternions_from_matrices
-from ..base.keyed_channels import CONSTANT, Channel, needed, write_channels
+from ..base.keyed_channels import CONSTANT, Channel, significant_keys, write_channels
 from ..base.units import from_meters
 from ..core.take.data import Layout, Steps, Take, ToolShape, frame_count
 from ..model.collider import TAKE_TOOL
@@ -149,7 +149,7 @@ class _Clock:
         group: str,
         interpolation: int | None = None,
     ) -> Channel:
-        kept = needed(values)
+        kept = significant_keys(values)
         # So that a time on a frame, or on half of one, is exactly there.
         frames = np.round(self._start + times[kept] * self._rate, 4)
         channel = Channel(path, index, frames, values[kept], group=group)

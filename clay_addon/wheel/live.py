@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Potter's wheels while clay is worked live: they turn by the clock."""
+"""Potter's wheels in a live session, where they follow real time instead of the timeline."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ import math
 import bpy
 import numpy as np
 
-from .speed import RATE, limited
+from .speed import RPM, clamped_speeds
 from .wheel import angle_curve, axle_angle, ensure_axle, live_scenes, refresh, wheel_objects
 
 
 class LiveWheels:
-    """The wheels of a scene whose clay is worked live: they turn by the clock, not the timeline.
+    """The wheels of a scene during a live session.
 
-    Whoever steps the clay calls `advance` before each step, and tells the solver then where
-    colliders are, as always.
+    Call `advance` before each step of the clay, and then update the solver's colliders.
 
     Args:
-        scene: Until `end` nothing else turns its wheels.
+        scene: The scene; until `end` nothing else turns its wheels.
     """
 
     def __init__(self, scene: bpy.types.Scene) -> None:
@@ -29,15 +28,15 @@ class LiveWheels:
         self._angles = {item.name: axle_angle(item) for item in wheel_objects(scene)}
 
     def __bool__(self) -> bool:
-        """Whether there are any."""
+        """Whether there are any wheels."""
         return bool(self._angles)
 
     def advance(self, scene: bpy.types.Scene, duration: float) -> None:
-        """Turn each wheel on, by what its speed is now.
+        """Turn each wheel at its current speed.
 
         Args:
-            scene: The same one; Undo replaces it.
-            duration: Of the step to come [s].
+            scene: The same scene, passed anew as Undo replaces the object.
+            duration: Duration of the next step [s].
         """
         for item in wheel_objects(scene):
             axle = ensure_axle(
@@ -46,20 +45,20 @@ class LiveWheels:
             curve = angle_curve(axle)
             if curve is not None and not curve.mute:
                 curve.mute = True
-            speed = float(limited(np.array(item.tactile_clay.wheel_speed)))
-            # Whole turns are left out, so that hours of turning lose no precision.
+            speed = float(clamped_speeds(np.array(item.tactile_clay.wheel_speed)))
+            # Kept within half a turn, so that precision does not degrade over hours.
             before = self._angles.get(item.name, 0.0)
-            angle = math.remainder(before + speed * RATE * duration, math.tau)
+            angle = math.remainder(before + speed * RPM * duration, math.tau)
             self._angles[item.name] = angle
             if abs(axle.rotation_euler[2] - angle) > 1e-6:
                 axle.rotation_euler[2] = angle
 
-    def press_pedal(self, scene: bpy.types.Scene, change: float) -> None:
+    def change_speeds(self, scene: bpy.types.Scene, change: float) -> None:
         """Make all wheels that have turned faster or slower.
 
         Args:
-            scene: The same one.
-            change: Of their speed [rpm].
+            scene: The same scene.
+            change: Change of their speed [rpm].
         """
         for name in self._angles:
             item = scene.objects.get(name)
@@ -67,9 +66,9 @@ class LiveWheels:
                 item.tactile_clay.wheel_speed += change
 
     def end(self, scene: bpy.types.Scene) -> None:
-        """Give the wheels back to the timeline, as they stand; once is enough.
+        """Return the wheels to the timeline; a second call does nothing.
 
-        Their phases are set so that they stand like this at the scene's current frame.
+        Their phases are set so that their angles at the scene's current frame do not change.
         """
         if self._uid not in live_scenes:
             return

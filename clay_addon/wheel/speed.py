@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The speed of a potter's wheel, and the angle that it has turned by.
+"""The speed of a potter's wheel, and its integral, the angle.
 
-The speed, ``Object.tactile_clay.wheel_speed``, is what one sets and animates; the angle is its
-integral over time. A keyed speed is integrated along its curve, exactly where that is constant or
-straight; a driven one, or one that comes from the nonlinear animation editor, is known at whole
-frames only, and taken as straight in between.
+The user sets or animates the speed, ``Object.tactile_clay.wheel_speed``. A keyframed speed is
+integrated along its F-curve, exactly where that is constant or linear. A driven speed, or one from
+the Nonlinear Animation editor, is known at whole frames only and is interpolated linearly.
 """
 
 from __future__ import annotations
@@ -18,17 +17,18 @@ from numpy.typing import NDArray
 from ..model.properties import MAX_WHEEL_SPEED
 
 SPEED_PATH = "tactile_clay.wheel_speed"
-"""Path of the speed [rpm] from its object."""
-RATE = 2.0 * math.pi / 60.0
-"""Angular velocity at one turn a minute [rad/s]."""
+"""Data path of the speed [rpm], relative to the object."""
+RPM = 2.0 * math.pi / 60.0
+"""One revolution per minute [rad/s]."""
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 def speed_curve(item: bpy.types.Object) -> bpy.types.FCurve | None:
-    """The curve that alone says how fast a wheel turns, if its speed is keyed.
+    """The F-curve of a wheel's keyframed speed; None if there is none.
 
-    A curve of the nonlinear animation editor's, or one that is mixed in, is none.
+    Also None if the Nonlinear Animation editor affects the object, as the curve alone then does
+    not determine the speed.
     """
     animation = item.animation_data
     if animation is None or animation.action is None or _is_mixed(animation):
@@ -43,7 +43,7 @@ def speed_curve(item: bpy.types.Object) -> bpy.types.FCurve | None:
 
 
 def is_driven(item: bpy.types.Object) -> bool:
-    """Whether only Blender can tell the speed, frame by frame."""
+    """Whether the speed is known only after Blender evaluates a frame."""
     animation = item.animation_data
     if animation is None:
         return False
@@ -56,10 +56,10 @@ def _is_mixed(animation: bpy.types.AnimData) -> bool:
     )
 
 
-def turns(
+def frame_turns(
     item: bpy.types.Object, times: NDArray[np.float64], frame_duration: float
 ) -> NDArray[np.float64]:
-    """The angle that a wheel, whose speed is not driven, turns by in each frame [rad].
+    """Angles by which a wheel whose speed is not driven turns in each frame [rad].
 
     Args:
         item: The wheel.
@@ -71,7 +71,7 @@ def turns(
     """
     curve = speed_curve(item)
     if curve is None:
-        return np.full(len(times) - 1, item.tactile_clay.wheel_speed * RATE * frame_duration)
+        return np.full(len(times) - 1, item.tactile_clay.wheel_speed * RPM * frame_duration)
     points = curve.keyframe_points
     keys = np.empty(2 * len(points))
     points.foreach_get("co", keys)
@@ -83,23 +83,23 @@ def turns(
     at = (places[:-1] + half)[:, None] + half[:, None] * _NODES
     speeds = np.array([curve.evaluate(place) for place in at.ravel()]).reshape(at.shape)
     # Blender holds an animated property within its limits.
-    pieces = half * (limited(speeds) @ _WEIGHTS)
+    pieces = half * (clamped_speeds(speeds) @ _WEIGHTS)
     whole = np.zeros(len(times) - 1)
     np.add.at(whole, np.searchsorted(times, places[:-1] + half) - 1, pieces)
-    return whole / (times[1] - times[0]) * RATE * frame_duration
+    return whole / (times[1] - times[0]) * RPM * frame_duration
 
 
-def turns_between(speeds: NDArray[np.float64], frame_duration: float) -> NDArray[np.float64]:
-    """The angle that a wheel turns by in each frame [rad], shape [N - 1].
+def sampled_frame_turns(speeds: NDArray[np.float64], frame_duration: float) -> NDArray[np.float64]:
+    """Angles by which a wheel turns in each frame [rad], shape [N - 1].
 
     Args:
-        speeds: At whole frames [rpm], shape [N].
+        speeds: Speeds at whole frames [rpm], shape [N].
         frame_duration: Time from frame to frame [s].
     """
-    known = limited(speeds)
-    return 0.5 * (known[1:] + known[:-1]) * RATE * frame_duration
+    known = clamped_speeds(speeds)
+    return 0.5 * (known[1:] + known[:-1]) * RPM * frame_duration
 
 
-def limited(speeds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Speeds as the property takes them [rpm]."""
+def clamped_speeds(speeds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Speeds clamped to the property's limits, with NaN replaced by 0 [rpm]."""
     return np.clip(np.nan_to_num(speeds), -MAX_WHEEL_SPEED, MAX_WHEEL_SPEED)

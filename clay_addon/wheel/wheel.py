@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Potter's wheels: colliders that spin about their own Z, as fast as their speed says.
+"""Potter's wheels: colliders that spin about their local Z axis at a given speed.
 
-A wheel is turned by an *axle*: an object in no scene that turns about Z, and that a constraint of
-the wheel copies its turning from. On the timeline the axle is keyed in each frame, at the integral
-of the speed, so that a wheel plays, renders and bakes as any animated object does, also where this
-extension is not there; all the rest of the wheel's transform stays free to be set or animated. In
-a live session there is no timeline, and `wheel_live` turns the axle by the clock.
+A wheel is turned by an *axle*, an object outside any scene that rotates about Z. A constraint of
+the wheel copies the axle's rotation. The axle has a keyframe in each frame, with the integral of
+the speed as its value, so a wheel plays, renders and bakes like any animated object, even without
+this extension. The rest of the wheel's transform can still be set or animated. In a live session,
+`live.LiveWheels` turns the axle in real time.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from ..base.app_handlers import add_handlers, remove_handlers
 from ..base.clock import animation_time, go_to, shown_moment
 from ..base.signals import wheels_changed
 from ..model.properties import frame_range
-from .speed import is_driven, speed_curve, turns, turns_between
+from .speed import frame_turns, is_driven, sampled_frame_turns, speed_curve
 
 CONSTRAINT_NAME = "Clay Wheel"
 _STAMP = "tactile_clay_wheel"
-"""Key of what an axle's curve was made from."""
+"""Custom property of an axle: a digest of the inputs that its curve was made from."""
 _LINEAR = 1
 _MAX_TURN = math.radians(170.0)
-"""Beyond half a turn a frame nobody could tell which way a wheel goes [rad]."""
+"""Maximum turn per frame [rad]: from half a turn on, the direction is ambiguous."""
 
 live_scenes: set[int] = set()
-"""Scenes whose wheels `wheel_live.LiveWheels` turns, by ``session_uid``."""
+"""``session_uid`` of the scenes whose wheels are turned by `live.LiveWheels`."""
 
 
 class WheelError(TactileClayError):
@@ -42,7 +42,7 @@ class WheelError(TactileClayError):
 
 
 def is_wheel(item: bpy.types.Object) -> bool:
-    """Whether an object is a collider that spins, or may."""
+    """Whether an object is a collider with a nonzero or animated wheel speed."""
     properties = item.tactile_clay
     return properties.role == "COLLIDER" and bool(
         properties.wheel_speed or speed_curve(item) is not None or is_driven(item)
@@ -50,12 +50,12 @@ def is_wheel(item: bpy.types.Object) -> bool:
 
 
 def wheel_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The wheels of a scene, by name."""
+    """The wheels of a scene, sorted by name."""
     return sorted((i for i in scene.objects if is_wheel(i)), key=lambda item: item.name)
 
 
 def axle_angle(item: bpy.types.Object) -> float:
-    """How far a wheel is turned now [rad]."""
+    """Current angle of a wheel [rad]."""
     axle = item.tactile_clay.wheel_axle
     return axle.rotation_euler[2] if axle is not None else 0.0
 
@@ -64,9 +64,9 @@ def axle_angle(item: bpy.types.Object) -> float:
 
 
 def refresh(scene: bpy.types.Scene) -> None:
-    """Key the axles of a scene's wheels anew where speeds, frames or phases have changed.
+    """Rewrite the keyframes of a scene's axles where speeds, frames or phases have changed.
 
-    Driven wheels keep what `sample` found.
+    Driven wheels keep the keyframes written by `sample`.
     """
     if scene.session_uid in live_scenes:
         return
@@ -78,23 +78,23 @@ def refresh(scene: bpy.types.Scene) -> None:
         if item.tactile_clay.wheel_axle is None and not is_wheel(item):
             continue
         if not is_wheel(item):
-            _take_off(item)
+            _remove_axle(item)
         elif not is_driven(item):
             axle = ensure_axle(item, taken)
-            # As a live session has left it in a file that was saved meanwhile.
+            # A live session leaves it muted in a file saved meanwhile.
             curve = angle_curve(axle)
             if curve is not None and curve.mute:
                 curve.mute = False
             stamp = _stamp(item, start, times, duration)
             if axle.get(_STAMP) != stamp:
-                _write(item, axle, turns(item, times, duration), times, start - low)
+                _write(item, axle, frame_turns(item, times, duration), times, start - low)
                 axle[_STAMP] = stamp
 
 
 def sample(scene: bpy.types.Scene) -> None:
-    """Do as `refresh`, and play the scene once to learn how fast driven wheels turn.
+    """Like `refresh`, but also step through the scene to sample the speed of driven wheels.
 
-    The scene's current frame is the same afterwards.
+    The scene's current frame is restored afterwards.
     """
     refresh(scene)
     driven = [item for item in wheel_objects(scene) if is_driven(item)]
@@ -113,16 +113,16 @@ def sample(scene: bpy.types.Scene) -> None:
     duration = scene.render.fps_base / scene.render.fps
     for row, item in zip(speeds, driven, strict=True):
         axle = ensure_axle(item, taken)
-        _write(item, axle, turns_between(row, duration), times, start - low)
+        _write(item, axle, sampled_frame_turns(row, duration), times, start - low)
         axle[_STAMP] = "sampled"
     go_to(scene, previous)
 
 
 def check_speeds(scene: bpy.types.Scene) -> None:
-    """Refuse a wheel that turns so far in a frame that a bake could not follow it.
+    """Check that no wheel turns so far in one frame that a bake could not follow it.
 
     Raises:
-        WheelError: It does; the message names it and says what to do.
+        WheelError: One does; the message names it and says what to do.
     """
     start, end = frame_range(scene)
     for item in wheel_objects(scene):
@@ -135,13 +135,13 @@ def check_speeds(scene: bpy.types.Scene) -> None:
             worst = int(steps.argmax())
             raise WheelError(
                 f"{item.name!r} turns by {math.degrees(steps[worst]):.0f} degrees from frame "
-                f"{start + worst} to the next, and half a turn is too much to follow. Lower its "
-                "wheel speed, or raise the frame rate."
+                f"{start + worst} to the next; half a turn cannot be followed. Lower its wheel "
+                "speed, or raise the frame rate."
             )
 
 
 def _frames(scene: bpy.types.Scene) -> tuple[int, int, int]:
-    """The frame of a wheel's phase, and the first and the last one to key."""
+    """The frame at which a wheel has its phase, and the first and last frame to key."""
     start, end = frame_range(scene)
     low = min(start, scene.frame_start)
     return start, low, max(end, scene.frame_end, low + 1)
@@ -179,10 +179,10 @@ def _write(
     times: NDArray[np.float64],
     start: int,
 ) -> None:
-    """Key an axle in each frame.
+    """Insert a keyframe for an axle in each frame.
 
     Args:
-        item: Its wheel.
+        item: The axle's wheel.
         axle: The axle.
         steps: The angle it turns by from frame to frame [rad].
         times: Animation times of the frames.
@@ -213,12 +213,12 @@ def _write(
 
 
 def ensure_axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.types.Object:
-    """The axle of a wheel, made where there is none.
+    """The axle of a wheel, created if necessary.
 
     Args:
         item: The wheel.
-        taken: Axles of other wheels; this one's is added. The copy of a wheel comes with the axle
-            of the first one, and must get its own.
+        taken: Axles of other wheels, to which this one is added. A copied wheel still refers to
+            the original's axle, and gets its own.
     """
     properties = item.tactile_clay
     axle = properties.wheel_axle
@@ -230,7 +230,7 @@ def ensure_axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.typ
     if constraint is None or constraint.type != "COPY_ROTATION":
         constraint = item.constraints.new("COPY_ROTATION")
         constraint.name = CONSTRAINT_NAME
-        # The axle's turning comes first, and then all that the wheel itself does.
+        # The axle's rotation is applied first, then the wheel's own transform.
         constraint.mix_mode = "AFTER"
         constraint.owner_space = constraint.target_space = "WORLD"
     if constraint.target != axle:
@@ -238,8 +238,8 @@ def ensure_axle(item: bpy.types.Object, taken: set[bpy.types.Object]) -> bpy.typ
     return axle
 
 
-def _take_off(item: bpy.types.Object) -> None:
-    """Make an object that no longer spins as it was."""
+def _remove_axle(item: bpy.types.Object) -> None:
+    """Remove axle and constraint from an object that no longer spins."""
     axle = item.tactile_clay.wheel_axle
     item.tactile_clay.wheel_axle = None
     constraint = item.constraints.get(CONSTRAINT_NAME)
@@ -253,7 +253,7 @@ def _take_off(item: bpy.types.Object) -> None:
 
 
 def angle_curve(axle: bpy.types.Object | None) -> bpy.types.FCurve | None:
-    """The curve of an axle's angle, where it is keyed."""
+    """The F-curve of an axle's angle; None if it is not keyed."""
     animation = axle.animation_data if axle is not None else None
     if animation is None or animation.action is None or animation.action_slot is None:
         return None
@@ -290,13 +290,13 @@ _HANDLERS = (("frame_change_pre", _on_change), ("save_pre", _on_save), ("load_pr
 
 
 def register() -> None:
-    """Add the handlers, each once."""
+    """Add the handlers and listen for changed wheels."""
     add_handlers(_HANDLERS)
     wheels_changed.connect(refresh)
 
 
 def unregister() -> None:
-    """Remove the handlers."""
+    """Remove the handlers and stop listening."""
     wheels_changed.disconnect(refresh)
     remove_handlers(_HANDLERS)
     live_scenes.clear()

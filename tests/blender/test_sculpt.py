@@ -311,7 +311,7 @@ def steps():
     yield seen
     start()
     yield moves
-    yield lambda: sculpting.session.felt > 1.0
+    yield lambda: sculpting.session.hand_force > 1.0
     print("FELT", flush=True)
     yield lambda: before - float(points()[:, 2].max()) > 0.006
     screenshot(ARGUMENTS[1])
@@ -444,7 +444,7 @@ def test_clay_of_a_session_that_was_killed_is_there_again(
         assert float(found.output.split(f"TOP {name}")[1].split()[0]) == pytest.approx(
             dented, abs=0.001
         )
-    assert "The last session was cut short. Clay was recovered" in found.output
+    assert "The last session was interrupted. Clay was recovered" in found.output
 
 
 def test_a_session_ends_cleanly_whatever_happens_to_it(

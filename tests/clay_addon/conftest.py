@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A fresh Blender with the add-on for each test, a mouse over clay, and tracked hands."""
+"""Fixtures: a fresh Blender with the add-on, a mouse over clay, and tracked hands."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ from tactile_clay.tests.clay_addon.core.tracking.hands import Clock, leap_record
 
 
 class Studio:
-    """An empty Blender scene and what is put in it."""
+    """An empty Blender scene, with shortcuts for filling it."""
 
     @property
     def scene(self) -> Any:
@@ -46,7 +46,7 @@ class Studio:
         return make_clay(bpy.context, [self.block(**block)], spacing=0.01, name=name)
 
     def camera(self) -> Any:
-        """Add a camera that sees the block and the table, and light, and make pictures small."""
+        """Add a light and a camera that sees block and table, and set a small resolution."""
         bpy.ops.object.light_add(type="SUN", rotation=(0.5, 0.3, 0.0))
         bpy.ops.object.camera_add(location=(0.2, -0.2, 0.15), rotation=(1.1, 0.0, 0.785))
         render = self.scene.render
@@ -57,7 +57,7 @@ class Studio:
         return self.scene.camera
 
     def falling_block(self, folder: Path, *, end: int = 6) -> Any:
-        """Save a scene with a block of clay that falls on a table."""
+        """Make and save a scene in which a block of clay falls on a table; returns the clay."""
         clay = self.clay()
         self.table()
         self.scene.frame_end = end
@@ -65,7 +65,7 @@ class Studio:
         return clay
 
     def save(self, folder: Path, name: str = "scene.blend") -> Path:
-        """Save the file into a folder."""
+        """Save the file in a folder and return its path."""
         bpy.ops.wm.save_as_mainfile(filepath=str(folder / name))
         return folder / name
 
@@ -83,7 +83,7 @@ class Studio:
         return (values @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
     def linked(self, folder: Path) -> Any:
-        """Link a cube from a library that is written into a folder, and select it alone."""
+        """Link a cube from a library written to a folder, and select it alone."""
         block = self.block()
         path = folder / "library.blend"
         bpy.data.libraries.write(str(path), {block})
@@ -97,7 +97,7 @@ class Studio:
         return item
 
     def refused(self, operator: Any, **options: Any) -> str:
-        """The error an operator reports, having changed no object."""
+        """Check that an operator fails without changing any object; returns its error."""
         before = {item.name: (item.type, item.hide_get()) for item in self.scene.objects}
         with pytest.raises(RuntimeError) as caught:
             operator(**options)
@@ -118,18 +118,18 @@ def studio() -> Iterator[Studio]:
 
 @pytest.fixture
 def clock() -> Clock:
-    """A clock that stands until it is turned."""
+    """A clock that moves only when a test advances it."""
     return Clock()
 
 
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
-    """A receiver on a port of the system's choice."""
+    """A receiver on a port chosen by the system."""
     with Receiver(0) as receiver:
         yield receiver
 
 
-# How long an example takes says nothing on a machine that does other things as well.
+# No deadline: timings mean nothing on a shared machine.
 settings.register_profile("unhurried", deadline=None)
 settings.load_profile("unhurried")
 
@@ -147,5 +147,5 @@ def leap_recording(request: pytest.FixtureRequest) -> Any:
 
 @pytest.fixture
 def mouse() -> Mouse:
-    """A mouse with a brush over a block of clay of ten centimeters."""
+    """A mouse with a brush over a ten-centimeter block of clay."""
     return Mouse()

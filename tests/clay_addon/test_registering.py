@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Registering: what the add-on adds to Blender, and that it takes all of it away again."""
+"""Registering adds to Blender what it should, and unregistering removes all of it."""
 
 import importlib.util
 import subprocess
@@ -17,7 +17,7 @@ OPERATORS = ("make", "collider_add", "collider_remove", "bake", "resume", "free"
 
 
 def added() -> dict[str, Any]:
-    """What Blender holds of the add-on."""
+    """What the add-on has added to Blender."""
     return {
         "classes": sorted(name for name in dir(bpy.types) if name.startswith(("CLAY_", "Clay"))),
         "properties": [
@@ -32,7 +32,7 @@ def added() -> dict[str, Any]:
     }
 
 
-def test_unregister_takes_all_away_twice_in_a_row() -> None:
+def test_unregister_removes_everything_twice_in_a_row() -> None:
     """Leave Blender as it was, however often register and unregister are called."""
     before = added()
     assert before["properties"] == [False, False]
@@ -50,7 +50,7 @@ def test_unregister_takes_all_away_twice_in_a_row() -> None:
 
 
 def test_failing_part_leaves_nothing_registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Take back what was registered when a part fails, so that trying again works."""
+    """Unregister the other parts when one fails, so that a second attempt works."""
     before = added()
     monkeypatch.setattr(clay_addon, "_MODULES", (*clay_addon._MODULES, "no_such_part"))
     with pytest.raises(ModuleNotFoundError):
@@ -62,7 +62,7 @@ def test_failing_part_leaves_nothing_registered(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_properties_survive_in_the_file_without_the_addon(studio: Any, tmp_path: Any) -> None:
-    """Keep what a .blend holds about its clay while the add-on is off."""
+    """Keep a .blend file's clay properties when it is saved with the add-on disabled."""
     clay = studio.clay()
     clay.tactile_clay.density = 1234.0
     path = studio.save(tmp_path)
@@ -77,7 +77,7 @@ def test_properties_survive_in_the_file_without_the_addon(studio: Any, tmp_path:
 
 
 def test_missing_warp_is_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Say what is missing in one sentence, and nothing where all is there."""
+    """Return one message if Warp is missing, and none if nothing is."""
     assert preferences.missing_parts() == []
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     (sentence,) = preferences.missing_parts()
@@ -112,7 +112,7 @@ os._exit(0)
 
 
 def test_without_warp_operators_say_so() -> None:
-    """Register, and report what is missing from the operators that need it."""
+    """Register without Warp; the operators that need it report that it is missing."""
     result = subprocess.run(
         [sys.executable, "-c", WITHOUT_WARP], capture_output=True, text=True, timeout=120
     )

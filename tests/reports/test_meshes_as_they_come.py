@@ -54,7 +54,7 @@ def clay_of(*items: bpy.types.Object, **options: Any) -> tuple[NDArray[np.float6
     """World positions of the clay made of objects, and what was told on the way."""
     notes: list[str] = []
     bpy.context.view_layer.update()
-    clay = make_clay(bpy.context, items, SPACING, tell=notes.append, **options)
+    clay = make_clay(bpy.context, items, SPACING, on_note=notes.append, **options)
     points = np.empty((len(clay.data.points), 3), np.float32)
     clay.data.attributes["position"].data.foreach_get("vector", points.ravel())
     return points + np.array(clay.location), notes

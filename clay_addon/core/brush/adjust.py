@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Changing the brush's radius or strength by moving the mouse, as Blender's own brushes do."""
+"""Adjusting the brush's radius or strength by moving the mouse, as with Blender's own brushes."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from typing import Literal
 Adjusted = Literal["radius", "strength"]
 
 _STRENGTH_PIXELS = 200.0
-"""Mouse travel from no strength to full strength [pixels]."""
+"""Mouse travel from zero to full strength [pixels]."""
 _PRECISE = 0.1
-"""Share of the travel that counts while Shift is held."""
+"""Factor on the mouse travel while Shift is held."""
 MIN_RADIUS = 1e-4
-"""Smallest radius that can be chosen [m]."""
+"""Minimum radius [m]."""
 
 
 @dataclass
 class Adjustment:
-    """A radius or a strength while it is being chosen."""
+    """An ongoing adjustment of the radius or the strength."""
 
     name: Adjusted
-    """Whether the radius or the strength is being chosen."""
+    """Which of the two is being adjusted."""
     start: float
-    """Value at the start: the radius [m], or the strength, 0 to 1."""
+    """Initial value: the radius [m], or the strength, 0 to 1."""
     pixel: float
-    """Size of a pixel where the brush is [m]."""
+    """Size of a pixel at the brush [m]."""
     x: float
-    """Where the mouse was last [pixels]."""
+    """Last position of the mouse [pixels]."""
     value: float = field(init=False)
-    """Value now."""
+    """Current value."""
 
     def __post_init__(self) -> None:
         self.value = self.start
 
     def move(self, x: float, *, precise: bool) -> float:
-        """Change the value after the mouse has moved sideways.
+        """Change the value after the mouse has moved horizontally.
 
         Args:
-            x: Where the mouse is [pixels].
-            precise: Whether its travel counts for a tenth.
+            x: Position of the mouse [pixels].
+            precise: Whether to reduce the mouse travel to a tenth.
 
         Returns:
             The new value.
@@ -54,7 +54,7 @@ class Adjustment:
 
     @property
     def text(self) -> str:
-        """The value as shown to the user."""
+        """The value as text for the user."""
         if self.name == "radius":
             return f"Radius: {self.value * 1e3:.3g} mm"
         return f"Strength: {self.value:.3f}"

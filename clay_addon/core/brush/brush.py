@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse: it turns queued input into poses of its meshes and into edits."""
+"""The brush: turns queued input into poses of its tool's meshes and into edits."""
 
 from __future__ import annotations
 
@@ -26,26 +26,25 @@ from .view_region import Pointer
 
 @dataclass(frozen=True)
 class Cursor:
-    """The place of a brush on the clay, to be drawn."""
+    """Where the brush is drawn on the clay."""
 
     point: NDArray[np.float64]
-    """On the surface [m], shape [3]."""
+    """Point on the surface [m], shape [3]."""
     normal: NDArray[np.float64]
     """Unit normal of the surface, shape [3]."""
     on_clay: bool
-    """Whether it is on the clay or beside it."""
+    """Whether it is on the clay, not beside it."""
 
 
 class Brush:
-    """What the mouse does to the clay in a live session.
+    """Applies a tool to the clay in a live session, controlled by mouse, pen and keys.
 
-    `handle` queues the events of Blender's window. Before each step of the solver, `poses` gets the
-    clay and turns what was queued into the place of the tool; `take_edits` tells what to add,
-    remove and paint. Rays are cast in `poses` alone, so that a fast mouse costs no more than a slow
-    one.
+    `handle` queues events of Blender's window. Before each step of the solver, `poses` gets the
+    clay and turns the queue into poses of the tool; `take_edits` returns what to add, remove and
+    paint. Rays are cast in `poses` only, so a fast mouse costs no more than a slow one.
 
     Args:
-        source: Where the settings are kept.
+        source: Provides and stores the settings.
     """
 
     def __init__(self, source: Source) -> None:
@@ -60,9 +59,9 @@ class Brush:
         self._blade_radius = 0.0
         self._poses: list[tuple[NDArray[np.float64], bool]] = []
         self.cursor: Cursor | None = None
-        """Where the brush is on the clay; None if it is not near any."""
+        """Where the brush is on the clay; None if there is no clay under it."""
 
-    # What the session asks ------------------------------------------------------------------------
+    # For the session ------------------------------------------------------------------------------
 
     @property
     def settings(self) -> BrushSettings:
@@ -71,9 +70,9 @@ class Brush:
 
     @property
     def mesh_key(self) -> Hashable:
-        """Changes when `meshes` do, but never during a stroke.
+        """A key that changes when `meshes` do, but never during a stroke.
 
-        A radius changes only the poses, except for blades: their thickness follows the spacing.
+        The radius affects only the poses, except for blades, whose thickness follows the spacing.
         """
         self._refresh()
         return self._key_of_meshes()
@@ -86,62 +85,62 @@ class Brush:
         key = (settings.tool.identifier, stamp, settings.mirror, settings.spacing)
         if not is_thin(settings.tool):
             return key
-        # While a radius is being chosen, a blade is drawn scaled.
+        # While the radius is being adjusted, a blade is only scaled.
         if self._input.adjustment is None or self._blade_radius == 0.0:
             self._blade_radius = settings.radius
         return (*key, self._blade_radius)
 
     @property
     def stroking(self) -> bool:
-        """Whether a stroke is under way; the tool may still finish it after the button is up."""
+        """Whether a stroke is in progress; it may continue briefly after the button is up."""
         return self._input.stroking or self._stroke is not None
 
     @property
     def pointer(self) -> Pointer | None:
-        """Where the mouse is; None outside the 3D views."""
+        """The mouse in a 3D view; None outside the 3D views."""
         return self._input.pointer
 
     @property
     def adjustment(self) -> Adjustment | None:
-        """The radius or strength that is being chosen."""
+        """The ongoing adjustment of radius or strength, if any."""
         return self._input.adjustment
 
     def meshes(self) -> list[ToolMesh]:
-        """What works the clay: the tool's parts for each mirrored copy, in the order of `poses`."""
+        """The tool's meshes for each mirrored copy, in the order of `poses`."""
         self._refresh()
         parts, _ = self._parts()
         return parts * len(mirror_matrices(self._settings.mirror, self._settings.mirror_frame))
 
     def drawn(self) -> list[tuple[ToolMesh, NDArray[np.float64], bool]]:
-        """Meshes, their poses [m] and whether the clay feels them; none where there is no tool."""
+        """Meshes to draw, their poses [m], and whether they act on the clay; empty off the clay."""
         if self.cursor is None:
             return []
         meshes = self.meshes()
         if len(meshes) != len(self._poses):
             return []
         shown = zip(meshes, self._poses, strict=True)
-        drawn = [(mesh, pose, felt) for mesh, (pose, felt) in shown]
-        # The plate that holds the clay for a blade is not shown.
+        drawn = [(mesh, pose, enabled) for mesh, (pose, enabled) in shown]
+        # The plate that holds the clay for a blade is not drawn.
         return drawn[::2] if self._settings.tool.held else drawn
 
     def poses(
         self, duration: float, positions: NDArray[np.floating]
     ) -> list[tuple[NDArray[np.float64], bool]]:
-        """Where the tool's meshes are at the end of the next step, and whether the clay feels them.
+        """Poses of the tool's meshes at the end of the next step, and whether they act on the clay.
 
         Args:
             duration: Simulated time of the step [s].
-            positions: All particles as shown, world [Blender units], shape [N, 3].
+            positions: World positions of all particles as displayed [Blender units], shape [N, 3].
 
         Returns:
-            World from the mesh's coordinates [m], shape [4, 4], scaled and mirrored where needed,
-            and whether it is felt; in the order of `meshes`.
+            For each of `meshes`, the matrix to the world [m], shape [4, 4], including scale and
+            mirroring, and whether it acts on the clay.
         """
         self._positions = positions
         self._refresh()
         press = self._input.take_press()
         if press is not None:
-            # A stroke that has not quite finished makes way for the next one.
+            # A new stroke ends one that has not quite finished.
             self._stroke = self._edit_stroke = None
             self._begin(press)
         if self._stroke is not None:
@@ -153,12 +152,12 @@ class Brush:
         return list(self._poses)
 
     def take_edits(self) -> list[Edit]:
-        """Clay to add, remove or paint since the last call, in order."""
+        """Edits since the last call, in order."""
         edits, self._edits = self._edits, []
         return edits
 
     def cancel(self) -> None:
-        """Drop everything: a stroke ends where it is, a value being chosen is restored."""
+        """Cancel everything: a stroke ends where it is, and an adjusted value is restored."""
         self._input.cancel()
         self._stroke = self._edit_stroke = None
         self._poses = [(pose, False) for pose, _ in self._poses]
@@ -166,37 +165,37 @@ class Brush:
     # Events ---------------------------------------------------------------------------------------
 
     def handle(self, context: Any, event: Any) -> bool:
-        """Take an event of Blender's window.
+        """Handle an event of Blender's window.
 
         Args:
-            context: Its window is the event's.
+            context: The context of the event's window.
             event: The event.
 
         Returns:
-            Whether the event was for the brush, so that nobody else should get it.
+            Whether the brush has consumed the event.
         """
         if event.type.startswith("TIMER") or event.type == "NONE":
             return False
         if event.value == "PRESS":
             self._refresh()
-        taken = self._input.handle(context, event, self._settings, self._place)
+        taken = self._input.handle(context, event, self._settings, self._world_point)
         if self._input.take_cancel():
             self.cancel()
         return taken
 
     def status_text(self) -> str:
-        """What keys and buttons do now, for the status bar."""
+        """What keys and buttons currently do, for the status bar."""
         return self._input.status_text(self._settings)
 
     # Strokes --------------------------------------------------------------------------------------
 
     def _refresh(self) -> None:
-        """Read the settings again, unless a stroke is under way."""
+        """Read the settings again, unless a stroke is in progress."""
         if not self.stroking and self._edit_stroke is None:
             self._settings = self._source.read()
 
     def _surface(self, *, keep: bool = False) -> ParticleSurface:
-        """The clay as shown; a copy if it must not change with the clay."""
+        """The surface of the clay as displayed; with `keep`, a snapshot that does not change."""
         scale = np.float32(self._settings.scale)
         points = np.asarray(self._positions, np.float32)
         if scale != 1.0:
@@ -251,7 +250,7 @@ class Brush:
             self._edit_stroke = None
 
     def _hover(self) -> None:
-        """Without a stroke, let the tool float over the clay under the cursor."""
+        """Without a stroke, place the tool above the clay under the cursor."""
         if self._input.adjustment is None:
             pointer, settings = self._input.pointer, self._settings
             self.cursor = None
@@ -290,7 +289,7 @@ class Brush:
             self._add_fences(enabled)
 
     def _add_fences(self, enabled: bool) -> None:
-        """Hold the clay while it is cut: each copy gets a plate, but only the first plate holds."""
+        """Add a plate per copy to hold the clay while it is cut; only the first one is enabled."""
         direction = None if self._stroke is None else self._stroke.direction
         if self._stroke is None or direction is None:
             plate = np.eye(4)
@@ -301,8 +300,8 @@ class Brush:
         for number, wire in enumerate(wires):
             self._poses += [wire, (plate, enabled and direction is not None and number == 0)]
 
-    def _place(self, pointer: Pointer) -> NDArray[np.float64]:
-        """Where the cursor is in the world [m], also beside the clay."""
+    def _world_point(self, pointer: Pointer) -> NDArray[np.float64]:
+        """World position of the cursor [m], even beside the clay."""
         if self.cursor is not None:
             return self.cursor.point
         ray = pointer.view.ray(pointer.x, pointer.y)
@@ -310,7 +309,7 @@ class Brush:
         return ray.at(1.0 if distance is None else distance)
 
     def _parts(self) -> tuple[list[ToolMesh], float]:
-        """The tool's meshes without copies, and the radius they were made for [m]."""
+        """The tool's meshes without mirrored copies, and the radius they were made for [m]."""
         key = self._key_of_meshes()
         if self._made is None or self._made[0] != key:
             self._made = (key, tool_parts(self._settings), self._settings.radius)

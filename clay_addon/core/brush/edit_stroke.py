@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One stroke of a brush that adds, removes or paints clay: dabs along the cursor's path."""
+"""One stroke that adds, removes or paints clay: dabs along the cursor's path."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _OPPOSITE: dict[EditKind, EditKind] = {"add": "remove", "remove": "add", "paint"
 
 
 class EditStroke:
-    """Dabs over the surface as it was at the start, so that clay does not grow without end.
+    """Dabs on the surface as it was at the start, so that clay does not grow indefinitely.
 
-    A dab that adds clay is a sphere that sticks out of the surface by strength times radius; one
-    that removes clay reaches as far into it.
+    A dab that adds clay is a sphere that protrudes from the surface by strength times radius; one
+    that removes clay reaches that deep into it.
 
     Args:
-        settings: Of the brush, kept for the whole stroke.
-        surface: The clay now.
+        settings: Settings of the brush for the whole stroke.
+        surface: The clay's current surface.
         view: The view that the cursor is in.
-        x: From the region's left edge [pixels].
-        y: From its lower edge [pixels].
-        inverted: Remove instead of add, and vice versa.
-        pressure: Of the pen, 0 to 1; 1 for a mouse.
+        x: Cursor's distance from the region's left edge [pixels].
+        y: Cursor's distance from the region's lower edge [pixels].
+        inverted: Whether to remove instead of add, and vice versa.
+        pressure: Pen pressure, 0 to 1; 1 for a mouse.
 
     Raises:
         LookupError: There is no clay in front of the viewer.
@@ -69,30 +69,30 @@ class EditStroke:
 
         Args:
             view: The view that the cursor is in.
-            x: From the region's left edge [pixels].
-            y: From its lower edge [pixels].
-            pressure: Of the pen, 0 to 1; 1 for a mouse.
+            x: Cursor's distance from the region's left edge [pixels].
+            y: Cursor's distance from the region's lower edge [pixels].
+            pressure: Pen pressure, 0 to 1; 1 for a mouse.
         """
         self.strength = self.settings.strength * pressure
-        every = _DAB_DISTANCE * self.settings.radius
+        interval = _DAB_DISTANCE * self.settings.radius
         for waypoint in self.path.extend(view, x, y):
-            way = waypoint.point - self.base.point
-            far = float(np.linalg.norm(way))
-            if waypoint.jump or not waypoint.on_clay or far < 1e-12:
-                self._since = every
+            offset = waypoint.point - self.base.point
+            length = float(np.linalg.norm(offset))
+            if waypoint.jump or not waypoint.on_clay or length < 1e-12:
+                self._since = interval
             else:
-                here = every - self._since
-                while here <= far:
-                    part = here / far
+                along = interval - self._since
+                while along <= length:
+                    part = along / length
                     normal = self.base.normal + part * (waypoint.normal - self.base.normal)
                     normal /= max(float(np.linalg.norm(normal)), 1e-9)
-                    self._dab(Waypoint(self.base.point + part * way, normal, self.base.on_clay))
-                    here += every
-                self._since = far - (here - every)
+                    self._dab(Waypoint(self.base.point + part * offset, normal, self.base.on_clay))
+                    along += interval
+                self._since = length - (along - interval)
             self.base = waypoint
 
     def release(self) -> None:
-        """Note that the button is up."""
+        """Record that the button is up."""
         self.released = True
 
     def take(self) -> list[Edit]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The input queue of a brush: events of Blender's window wait here until the next tick.
 
-It also decides which events are the brush's own, so that Blender does not see them.
+It also decides which events the brush consumes, so that Blender does not handle them.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from .view_region import Pointer, find_pointer, pointer_in
 
 _MOVES = ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE")
 _MIN_PRESSURE = 0.05
-"""A pen reports no pressure at first."""
+"""Lower bound on pen pressure, as a pen initially reports none."""
 _STEP = 1.1
-"""A press of [ or ] changes the radius by this factor."""
+"""Factor by which [ and ] change the radius."""
 _MAX_SAMPLES = 6
-"""At most this many of the motions between two steps are used."""
+"""Maximum number of mouse motions used per step."""
 
 
 class Source(Protocol):
-    """Where the settings of a brush are kept; see `SceneSource`."""
+    """Stores the settings of a brush; see `SceneSource`."""
 
     def read(self) -> BrushSettings:
-        """What is set now."""
+        """The current settings."""
 
     def write(self, name: Adjusted, value: float) -> None:
         """Set the radius [m] or the strength."""
@@ -41,9 +41,9 @@ class Sample:
     """The mouse or pen at one moment of a stroke."""
 
     pointer: Pointer
-    """Where it is."""
+    """Its position in the view."""
     pressure: float
-    """0 to 1; 1 for a mouse."""
+    """Pen pressure, 0 to 1; 1 for a mouse."""
     shift: bool
     """Whether Shift is held."""
     ctrl: bool
@@ -51,10 +51,10 @@ class Sample:
 
 
 class BrushInput:
-    """Gathers what the user does with mouse, pen, wheel and keys, and hands it out at the tick.
+    """Collects input from mouse, pen, wheel and keys until the next tick.
 
     Args:
-        source: Where a radius or strength that is being chosen is written.
+        source: Receives an adjusted radius or strength.
     """
 
     def __init__(self, source: Source) -> None:
@@ -68,12 +68,12 @@ class BrushInput:
 
     @property
     def pointer(self) -> Pointer | None:
-        """Where the mouse is; None outside the 3D views."""
+        """The mouse in a 3D view; None outside the 3D views."""
         return self._pointer
 
     @property
     def adjustment(self) -> Adjustment | None:
-        """The radius or strength that is being chosen."""
+        """The ongoing adjustment of radius or strength, if any."""
         return self._adjustment
 
     @property
@@ -83,21 +83,21 @@ class BrushInput:
 
     @property
     def stroking(self) -> bool:
-        """Whether the button of a stroke is down, or was pressed and no stroke has begun yet."""
+        """Whether the button of a stroke is down, or its press is still in the queue."""
         return self._held or self._press is not None
 
     def take_press(self) -> Sample | None:
-        """The press that a stroke should begin with, once."""
+        """The queued press that starts a stroke, if any; removes it from the queue."""
         press, self._press = self._press, None
         return press
 
     def take_cancel(self) -> bool:
-        """Whether the user has cancelled the stroke since the last call."""
+        """Whether the user has canceled the stroke since the last call."""
         cancelled, self._cancelled = self._cancelled, False
         return cancelled
 
     def take_samples(self) -> list[Sample]:
-        """Motions since the last call, thinned out evenly; the last one is always among them."""
+        """Motions since the last call, evenly thinned out, always including the last one."""
         samples, self._samples = self._samples, []
         step = -(-len(samples) // _MAX_SAMPLES) if samples else 1
         return samples[::-1][::step][::-1]
@@ -108,11 +108,11 @@ class BrushInput:
         return steps
 
     def release(self) -> None:
-        """Treat the button as released, where a stroke cannot begin."""
+        """Treat the button as released, because a stroke cannot begin."""
         self._held = False
 
     def cancel(self) -> None:
-        """Drop everything that waits; a value that is being chosen returns to what it was."""
+        """Drop everything in the queue, and restore a value that is being adjusted."""
         if self._adjustment is not None:
             self._source.write(self._adjustment.name, self._adjustment.start)
         self._adjustment = self._press = None
@@ -125,18 +125,18 @@ class BrushInput:
         context: Any,
         event: Any,
         settings: BrushSettings,
-        place: Callable[[Pointer], NDArray[np.float64]],
+        world_point: Callable[[Pointer], NDArray[np.float64]],
     ) -> bool:
-        """Take an event of Blender's window.
+        """Handle an event of Blender's window.
 
         Args:
-            context: Its window is the event's.
+            context: The context of the event's window.
             event: The event.
-            settings: What the brush is set to now.
-            place: Where a pointer is in the world [m], shape [3].
+            settings: Current settings of the brush.
+            world_point: Returns the world position of a pointer [m], shape [3].
 
         Returns:
-            Whether the event was for the brush.
+            Whether the brush has consumed the event.
         """
         if self._adjustment is not None:
             return self._adjust(event)
@@ -149,17 +149,17 @@ class BrushInput:
             return False
         if event.type == "LEFTMOUSE":
             return self._begin(pointer, event, settings)
-        return self._key(event, pointer, settings, place)
+        return self._key(event, pointer, settings, world_point)
 
     def status_text(self, settings: BrushSettings) -> str:
-        """What keys and buttons do now, for the status bar."""
+        """What keys and buttons currently do, for the status bar."""
         tool = settings.tool
         if self.adjustment is not None:
             return "Left mouse: confirm   Right mouse: cancel   Shift: precise"
         if self.held and tool.path == "pinch":
-            return "Wheel or Shift: pull away from the surface   Esc: let go"
+            return "Wheel or Shift: pull away from the surface   Esc: release"
         if self.held and tool.path not in ("edit", "view"):
-            return "Wheel: deeper or less deep   Esc: let go"
+            return "Wheel: change depth   Esc: release"
         parts = []
         if tool.identifier != "NONE":
             parts.append(f"Left mouse: {tool.label}")
@@ -178,7 +178,7 @@ class BrushInput:
         return True
 
     def _steer(self, context: Any, event: Any, settings: BrushSettings) -> bool:
-        """Follow the mouse during a stroke; all events are then the brush's."""
+        """Handle an event during a stroke; the brush then consumes all events."""
         if event.type in _MOVES:
             assert self._pointer is not None
             area, region = self._pointer.area, self._pointer.region
@@ -187,7 +187,7 @@ class BrushInput:
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
             self._held = False
         elif event.type == "WINDOW_DEACTIVATE":
-            # The release may go to another window.
+            # Another window may get the release event.
             self._held = False
         elif event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
             self._cancelled = True
@@ -200,15 +200,15 @@ class BrushInput:
         event: Any,
         pointer: Pointer,
         settings: BrushSettings,
-        place: Callable[[Pointer], NDArray[np.float64]],
+        world_point: Callable[[Pointer], NDArray[np.float64]],
     ) -> bool:
         if event.ctrl or event.alt or event.oskey:
             return False
         if event.type == "F":
             name: Adjusted = "strength" if event.shift else "radius"
-            pixel = pointer.view.pixel(place(pointer))
+            pixel = pointer.view.pixel(world_point(pointer))
             self._adjustment = Adjustment(name, getattr(settings, name), pixel, event.mouse_x)
-            self._tell()
+            self._update_header()
             return True
         if event.type in ("LEFT_BRACKET", "RIGHT_BRACKET") and not event.shift:
             factor = _STEP if event.type == "RIGHT_BRACKET" else 1.0 / _STEP
@@ -226,11 +226,11 @@ class BrushInput:
             self._adjustment = None
         elif event.value == "PRESS" and event.type in ("RIGHTMOUSE", "ESC"):
             self.cancel()
-        self._tell()
+        self._update_header()
         return True
 
-    def _tell(self) -> None:
-        """Show the value that is being chosen in the header of the view."""
+    def _update_header(self) -> None:
+        """Show the adjusted value in the header of the view."""
         assert self._pointer is not None
         text = None if self._adjustment is None else self._adjustment.text
         self._pointer.area.header_text_set(text)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mirrored copies of a tool: about the planes through the clay object's origin.
+"""Mirrored copies of a tool, about the local planes of the clay object.
 
-Blender's own sculpt mode mirrors about these planes too. Make Clay puts the origin in the middle of
-the meshes it is made from, so a symmetric object stays symmetric wherever it is.
+Blender's Sculpt Mode mirrors about these planes too. Make Clay puts the origin at the center of the
+clay, so a symmetric object stays symmetric wherever it is.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 SNAP = 0.3
-"""A tool closer than this to a mirror plane works on the plane, without its copy [brush radii].
+"""A tool closer to a mirror plane than this snaps to it, without a mirrored copy [brush radii].
 
 Two tools in nearly the same place would violently squeeze out the clay between them.
 """
@@ -22,11 +22,11 @@ Two tools in nearly the same place would violently squeeze out the clay between 
 def mirror_matrices(
     axes: tuple[bool, bool, bool], frame: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """World to mirrored world for each copy, the tool itself first; shape [4, 4] each.
+    """The mirroring matrix in world space for each copy, the identity first; shape [4, 4] each.
 
     Args:
-        axes: Whether X, Y, Z mirror.
-        frame: World from the frame whose planes mirror [m], shape [4, 4].
+        axes: Whether to mirror X, Y and Z.
+        frame: Matrix from the mirror frame to the world [m], shape [4, 4].
     """
     back = np.linalg.inv(frame)
     signs = product(*((1.0, -1.0) if used else (1.0,) for used in axes))
@@ -43,24 +43,28 @@ def snap_to_planes(
     """Move a tool that is near a mirror plane onto the plane.
 
     Args:
-        point: Where the tool is [m], shape [3].
-        normal: Where its handle points, shape [3].
-        radius: Of the brush [m].
-        axes: Whether X, Y, Z mirror.
-        frame: World from the frame whose planes mirror [m], shape [4, 4].
+        point: Location of the tool [m], shape [3].
+        normal: Direction of its handle, a unit vector, shape [3].
+        radius: Radius of the brush [m].
+        axes: Whether to mirror X, Y and Z.
+        frame: Matrix from the mirror frame to the world [m], shape [4, 4].
 
     Returns:
-        The point, the normal, and the axes whose copies coincide with the original.
+        The point, the normal, and for each axis whether its copy coincides with the original.
     """
     local = frame[:3, :3].T @ (point - frame[:3, 3])
-    way = frame[:3, :3].T @ normal
+    local_normal = frame[:3, :3].T @ normal
     on = tuple(used and abs(local[k]) < SNAP * radius for k, used in enumerate(axes))
     local = np.where(on, 0.0, local)
-    flat = np.where(on, 0.0, way)
+    flat = np.where(on, 0.0, local_normal)
     size = float(np.linalg.norm(flat))
-    # On a surface that is parallel to the mirror plane no direction is left: keep the normal.
-    way = flat / size if size > 0.1 else way
-    return frame[:3, :3] @ local + frame[:3, 3], frame[:3, :3] @ way, (on[0], on[1], on[2])
+    # If the surface is parallel to the mirror plane, the projection vanishes: keep the normal.
+    local_normal = flat / size if size > 0.1 else local_normal
+    return (
+        frame[:3, :3] @ local + frame[:3, 3],
+        frame[:3, :3] @ local_normal,
+        (on[0], on[1], on[2]),
+    )
 
 
 def used_copies(axes: tuple[bool, bool, bool], coinciding: tuple[bool, bool, bool]) -> list[bool]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where a ray meets the surface of clay that is only known by its particles."""
+"""Ray casting against the surface of clay that is given only by its particles."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ COVER = 0.75
 No ray slips between the particles of a cubic lattice at 0.71, of a disordered one slightly more.
 """
 SKIN = 0.5
-"""How far the surface lies outside the centers of the outermost particles [spacings]."""
+"""Distance of the surface from the centers of the outermost particles [spacings]."""
 MIN_REACH = 2.5
-"""Normals and levels are averaged over at least this radius [spacings]."""
+"""Minimum radius over which normals and levels are averaged [spacings]."""
 
 
 @dataclass(frozen=True)
 class SurfaceHit:
-    """A point of the clay's surface."""
+    """Intersection of a ray with the clay's surface."""
 
     point: NDArray[np.float64]
-    """Where the ray meets the surface [m], shape [3]."""
+    """The point of intersection [m], shape [3]."""
     normal: NDArray[np.float64]
-    """Unit normal out of the clay, averaged over the radius asked for, shape [3]."""
+    """Outward unit normal, averaged over the requested radius, shape [3]."""
     distance: float
-    """From the ray's origin [m]."""
+    """Distance from the ray's origin [m]."""
 
 
 class ParticleSurface:
     """The surface of a piece of clay at one moment.
 
     A ray stops at the first ball of `COVER` spacings around a particle. There the normal is the
-    gradient of the particles' density, smoothed by a kernel of the radius asked for, and the
-    surface lies `SKIN` spacings outside the outermost particles nearby. A ray costs one pass over
-    the particles, and the rest of the work is with the few that lie in a slab around the ray.
+    negative gradient of the particle density, smoothed by a kernel of the requested radius, and the
+    surface is `SKIN` spacings outside the outermost particles nearby. A ray costs one pass over
+    all particles; the rest of the work involves only the few in a slab around the ray.
 
     Args:
         positions: Particle positions [m], shape [N, 3]. They are not copied.
@@ -58,84 +58,84 @@ class ParticleSurface:
     def hit(
         self, origin: ArrayLike, direction: ArrayLike, radius: float, *, level: bool = False
     ) -> SurfaceHit | None:
-        """The first point of the surface on a ray.
+        """The first intersection of a ray with the surface.
 
         Args:
-            origin: Where the ray starts [m], shape [3].
-            direction: Where it goes, of any length, shape [3].
-            radius: What the normal is averaged over [m].
-            level: Low-pass the surface itself too: the point lies on the plane that fits the
-                surface best within the radius, so that bumps smaller than that vanish.
+            origin: Start of the ray [m], shape [3].
+            direction: Direction of the ray, of any length, shape [3].
+            radius: Radius over which the normal is averaged [m].
+            level: Whether to low-pass the surface too: the point is then on the plane that best
+                fits the surface within the radius, so that smaller bumps vanish.
 
         Returns:
-            The hit; None where the ray misses the clay, or where it has no particles.
+            The hit; None if the ray misses the clay or there are no particles.
         """
         start = np.asarray(origin, np.float64)
-        way = np.asarray(direction, np.float64)
-        way = way / np.linalg.norm(way)
+        axis = np.asarray(direction, np.float64)
+        axis = axis / np.linalg.norm(axis)
         reach = max(radius, MIN_REACH * self.spacing)
-        near = self._slab(start, way, max(reach, COVER * self.spacing))
-        along = (near - start) @ way
-        beside = np.linalg.norm(near - start - along[:, None] * way, axis=1)
+        near = self._slab(start, axis, max(reach, COVER * self.spacing))
+        along = (near - start) @ axis
+        off_axis = np.linalg.norm(near - start - along[:, None] * axis, axis=1)
         cover = COVER * self.spacing
-        stops = (beside < cover) & (along > 0.0)
+        stops = (off_axis < cover) & (along > 0.0)
         if not stops.any():
             return None
-        first = float((along[stops] - np.sqrt(cover**2 - beside[stops] ** 2)).min())
-        touched = start + first * way
+        first = float((along[stops] - np.sqrt(cover**2 - off_axis[stops] ** 2)).min())
+        touched = start + first * axis
         around = near[np.einsum("ij,ij->i", near - touched, near - touched) < reach**2]
-        normal = self._normal(touched, around, reach, way)
+        normal = self._normal(touched, around, reach, axis)
         if level:
-            touched, normal = self._level(touched, normal, around, way)
-            slope = min(float(normal @ way), -0.2)
-            distance = first + float(normal @ (touched - start - first * way)) / slope
+            touched, normal = self._level(touched, normal, around, axis)
+            slope = min(float(normal @ axis), -0.2)
+            distance = first + float(normal @ (touched - start - first * axis)) / slope
         else:
-            distance = first + self._lift(touched, normal, around, way)
-        return SurfaceHit(start + distance * way, normal, distance)
+            distance = first + self._lift(touched, normal, around, axis)
+        return SurfaceHit(start + distance * axis, normal, distance)
 
     def height_above(
-        self, point: ArrayLike, normal: ArrayLike, radius: float, most: float
+        self, point: ArrayLike, normal: ArrayLike, radius: float, max_height: float
     ) -> float:
-        """How far clay reaches up around a normal, beginning at a point of the surface [m].
+        """Height of the clay around a normal, above a point of the surface [m].
 
         Args:
-            point: Where the normal starts [m], shape [3].
+            point: Point on the surface [m], shape [3].
             normal: Unit vector, shape [3].
-            radius: Clay farther from the normal than this does not count [m].
-            most: Nor does clay higher than this [m].
+            radius: Particles farther from the normal than this are ignored [m].
+            max_height: Particles higher than this are ignored [m].
 
         Returns:
-            Height of the highest particle that counts, or 0.
+            Height of the surface at the highest particle; 0 if there is none.
         """
-        start, way = np.asarray(point, np.float64), np.asarray(normal, np.float64)
-        near = self._slab(start, way, radius) - start
-        height = near @ way
-        beside = np.einsum("ij,ij->i", near, near) - height**2
-        counted = height[(beside < radius**2) & (height > 0.0) & (height < most)]
+        start, axis = np.asarray(point, np.float64), np.asarray(normal, np.float64)
+        near = self._slab(start, axis, radius) - start
+        height = near @ axis
+        off_axis_squared = np.einsum("ij,ij->i", near, near) - height**2
+        counted = height[(off_axis_squared < radius**2) & (height > 0.0) & (height < max_height)]
         return float(counted.max()) + SKIN * self.spacing if len(counted) else 0.0
 
     def nearest_distance(self, origin: ArrayLike, direction: ArrayLike) -> float | None:
         """Distance along a ray to the point closest to any particle [m]; None if all are behind it.
 
         Args:
-            origin: Where the ray starts [m], shape [3].
+            origin: Start of the ray [m], shape [3].
             direction: Unit vector, shape [3].
         """
         away = self.positions - np.asarray(origin, np.float32)
         along = away @ np.asarray(direction, np.float32)
-        beside = np.einsum("ij,ij->i", away, away) - along**2
-        beside[along <= 0.0] = np.inf
-        if not len(beside) or not np.isfinite(beside.min()):
+        off_axis_squared = np.einsum("ij,ij->i", away, away) - along**2
+        off_axis_squared[along <= 0.0] = np.inf
+        if not len(off_axis_squared) or not np.isfinite(off_axis_squared.min()):
             return None
-        return float(along[beside.argmin()])
+        return float(along[off_axis_squared.argmin()])
 
     def _slab(
-        self, start: NDArray[np.float64], way: NDArray[np.float64], reach: float
+        self, start: NDArray[np.float64], axis: NDArray[np.float64], reach: float
     ) -> NDArray[np.float64]:
-        """Particles within some reach of a plane through a line, shape [M, 3]."""
-        side = np.cross(np.eye(3)[np.argmin(np.abs(way))], way)
+        """Particles within some distance of a plane through a line, shape [M, 3]."""
+        side = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
         side /= np.linalg.norm(side)
-        # One product with a vector is the only pass over all particles.
+        # This product with a vector is the only pass over all particles.
         offset = self.positions @ side.astype(np.float32)
         offset -= np.float32(side @ start)
         return self.positions[np.abs(offset) < np.float32(reach)].astype(np.float64)
@@ -145,35 +145,35 @@ class ParticleSurface:
         point: NDArray[np.float64],
         around: NDArray[np.float64],
         reach: float,
-        way: NDArray[np.float64],
+        axis: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Direction in which the clay thins out fastest, turned to face the viewer."""
+        """Negative gradient of the particle density, turned to face the viewer."""
         away = point - around
         weight = (1.0 - np.einsum("ij,ij->i", away, away) / reach**2) ** 2
         normal = weight @ away
-        normal -= max(float(normal @ way), 0.0) * way
+        normal -= max(float(normal @ axis), 0.0) * axis
         size = np.linalg.norm(normal)
-        return normal / size if size > 1e-6 * reach * len(around) else -way
+        return normal / size if size > 1e-6 * reach * len(around) else -axis
 
     def _lift(
         self,
         point: NDArray[np.float64],
         normal: NDArray[np.float64],
         around: NDArray[np.float64],
-        way: NDArray[np.float64],
+        axis: NDArray[np.float64],
     ) -> float:
-        """Distance along the ray from the ball that was hit to the surface [m].
+        """Distance along the ray from the hit ball to the surface [m].
 
-        Balls make a bumpy surface. A smooth maximum of the particles' heights makes it a plane
-        over a lattice's layer, whichever gap the ray fell in.
+        The balls form a bumpy surface. A smooth maximum of the particles' heights makes it a plane
+        above a lattice layer, wherever the ray hits.
         """
         away = around - point
         height = away @ normal
-        beside = np.einsum("ij,ij->i", away, away) - height**2
-        patch = height[beside < (1.3 * self.spacing) ** 2]
+        off_axis_squared = np.einsum("ij,ij->i", away, away) - height**2
+        patch = height[off_axis_squared < (1.3 * self.spacing) ** 2]
         weight = np.exp(8.0 * (patch - patch.max()) / self.spacing)
         top = float(weight @ patch / weight.sum()) + SKIN * self.spacing
-        slope = min(float(normal @ way), -0.2)
+        slope = min(float(normal @ axis), -0.2)
         return float(np.clip(top / slope, -1.5 * self.spacing, 1.5 * self.spacing))
 
     def _level(
@@ -181,7 +181,7 @@ class ParticleSurface:
         point: NDArray[np.float64],
         normal: NDArray[np.float64],
         around: NDArray[np.float64],
-        way: NDArray[np.float64],
+        axis: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Point and normal of the plane that best fits the surface nearby."""
         seed = np.eye(3)[np.argmin(np.abs(normal))]
@@ -191,7 +191,7 @@ class ParticleSurface:
         away = around - point
         height = away @ normal
         flat = np.column_stack((away @ right, away @ up))
-        # The highest particle of each cell is on the surface; those far below are on another side.
+        # The highest particle of each cell is on the surface; much lower ones are on another side.
         cells = np.floor(flat / self.spacing).astype(np.int64)
         cells -= cells.min(0)
         key = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
@@ -204,6 +204,6 @@ class ParticleSurface:
         base, slope_right, slope_up = np.linalg.lstsq(columns, height[top], rcond=None)[0]
         fitted = normal - slope_right * right - slope_up * up
         fitted /= np.linalg.norm(fitted)
-        if fitted @ way > 0.0:
+        if fitted @ axis > 0.0:
             fitted = normal
         return point + (base + SKIN * self.spacing) * normal, fitted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One stroke of a tool that touches the clay; it moves no faster than a hand."""
+"""One stroke of a tool that touches the clay, at the speed of a hand at most."""
 
 from __future__ import annotations
 
@@ -15,48 +15,47 @@ from .raycast import ParticleSurface
 from .surface_path import SurfacePath, Waypoint
 from .view_ray import View
 
-_EASE = 0.06
-"""Time constant with which the depth approaches its target [s]: a mouse has no pressure."""
-_TURN = 12.0
-"""Fastest turn of a tool [rad/s]."""
-_CLEAR = 0.8
-"""Height above the clay at which a tool is set down [spacings]."""
-_WHEEL = 0.15
-"""Change of depth for one step of the wheel [brush radii]."""
-_PULL = 0.4
-"""Pull of a pinch for one step of the wheel [brush radii]."""
-_LINGER = 0.5
-"""Time a tool has to reach its depth after the button is released [s]."""
+_EASE_TIME = 0.06
+"""Time constant with which the depth approaches its target [s], as a mouse has no pressure."""
+_MAX_TURN_RATE = 12.0
+"""Maximum angular velocity of a tool [rad/s]."""
+_CLEARANCE = 0.8
+"""Height above the clay at which a stroke starts [spacings]."""
+_WHEEL_STEP = 0.15
+"""Change of depth per step of the wheel [brush radii]."""
+_PULL_STEP = 0.4
+"""Pull of a pinch per step of the wheel [brush radii]."""
+_MAX_LINGER = 0.5
+"""Time that a tool has to reach its depth after the button is released [s]."""
 HOVER = 0.25
-"""Height at which a waiting tool floats above the clay [brush radii]."""
-_DIRECTED = 0.3
-"""Travel of the cursor after which its direction is known [brush radii]."""
-_WAIT = 0.4
-"""Longest time a tool waits for its direction [s]."""
+"""Height of an idle tool above the clay [brush radii]."""
+_MIN_TRAVEL = 0.3
+"""Cursor travel after which the direction of a stroke is known [brush radii]."""
+_MAX_WAIT = 0.4
+"""Maximum time that a tool waits for its direction [s]."""
 PINCH_OPEN = 1.6
 """Half the distance between the axes of two open fingers [brush radii]."""
 PINCH_LEAN = np.radians(30.0)
-"""Lean of pinching fingers [rad]: their tips are closer together than the rest, so that clay
-between them comes along when they rise."""
+"""Tilt of pinching fingers [rad]: their tips are closest together, so that they pull clay up."""
 _PINCH_SPEED = 0.12
-"""How fast two fingers close [m/s]."""
+"""Closing speed of two fingers [m/s]."""
 
 
 class Stroke:
     """A moving tool, from the press of the button until it has finished.
 
-    First the tool stands clear of the clay, which does not feel it yet. Then it goes down to its
-    depth under the surface as it was at the start, and follows the cursor. Where the path jumps,
-    the tool is lifted and set down again.
+    The tool starts disabled and clear of the clay. Then it moves to its depth below the surface as
+    it was at the start, and follows the cursor. At jumps of the path, the tool is lifted and set
+    down again.
 
     Args:
-        settings: Of the brush, kept for the whole stroke.
-        surface: The clay now.
+        settings: Settings of the brush for the whole stroke.
+        surface: The clay's current surface.
         view: The view that the cursor is in.
-        x: From the region's left edge [pixels].
-        y: From its lower edge [pixels].
-        sole: How far the tool reaches sideways [m]; at least the radius of the brush is used.
-        pressure: Of the pen, 0 to 1; 1 for a mouse.
+        x: Cursor's distance from the region's left edge [pixels].
+        y: Cursor's distance from the region's lower edge [pixels].
+        sole: Lateral extent of the tool [m]; the brush's radius is used if that is larger.
+        pressure: Pen pressure, 0 to 1; 1 for a mouse.
 
     Raises:
         LookupError: There is no clay in front of the viewer.
@@ -93,13 +92,13 @@ class Stroke:
         self.gap = PINCH_OPEN * settings.radius
         """Half the distance between the axes of two fingers [m]."""
         self.direction: NDArray[np.float64] | None = None
-        """Direction in which an aligned tool has set out, shape [3]; None before it is known."""
+        """Initial direction of an aligned tool, shape [3]; None until it is known."""
         self.rolled = 0.0
         """Angle by which a rolling tool has turned [rad]."""
         self.enabled = False
-        """Whether the clay feels the tool."""
+        """Whether the tool acts on the clay."""
         self.released = False
-        """Whether the button is up again."""
+        """Whether the button has been released."""
         self._queue: deque[Waypoint] = deque()
         self._pressure = pressure
         self._extra = 0.0
@@ -112,12 +111,12 @@ class Stroke:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the tool follows no surface."""
+        """Whether the tool follows the plane of the view instead of the surface."""
         return self.tool.path in ("view", "pinch")
 
     @property
-    def wanted_depth(self) -> float:
-        """Depth under the surface that the tool aims for [m]."""
+    def target_depth(self) -> float:
+        """Target depth of the tool below the surface [m]."""
         if self.tool.path == "view":
             return 0.0
         deep = self.tool.depth * self.settings.strength * self._pressure
@@ -130,28 +129,28 @@ class Stroke:
         if not self.released or self._queue or not self._standing:
             return False
         reach = 0.05 * self.settings.radius
-        target = self.base.point - self.wanted_depth * self.base.normal
+        target = self.base.point - self.target_depth * self.base.normal
         arrived = float(np.linalg.norm(self.tip - target)) < reach and not self._closing
-        return arrived or self._lingered > _LINGER
+        return arrived or self._lingered > _MAX_LINGER
 
-    # What the user does ---------------------------------------------------------------------------
+    # Input ----------------------------------------------------------------------------------------
 
     def move(self, view: View, x: float, y: float, *, pressure: float, pull: bool) -> None:
         """Follow the cursor.
 
         Args:
             view: The view that the cursor is in.
-            x: From the region's left edge [pixels].
-            y: From its lower edge [pixels].
-            pressure: Of the pen, 0 to 1; 1 for a mouse.
-            pull: Whether the cursor moves a pinch along the surface's normal instead.
+            x: Cursor's distance from the region's left edge [pixels].
+            y: Cursor's distance from the region's lower edge [pixels].
+            pressure: Pen pressure, 0 to 1; 1 for a mouse.
+            pull: Whether the cursor moves a pinch along the surface normal instead.
         """
         self._pressure = pressure
         if self.tool.path == "anchored":
             return
         before, self._cursor = self._cursor, (x, y)
         if pull and self.tool.path == "pinch":
-            # Travel that pulls does not move the pinch, now or after the key is released.
+            # This travel must not move the pinch sideways, now or after Shift is released.
             dx, dy = x - before[0], y - before[1]
             self._shifted = (self._shifted[0] + dx, self._shifted[1] + dy)
             self._extra -= dy * view.pixel(self.base.point)
@@ -164,21 +163,21 @@ class Stroke:
             self._queue.append(waypoint)
 
     def wheel(self, steps: float) -> None:
-        """Go deeper by steps of the wheel; negative is less deep, and pulls a pinch out."""
-        share = _PULL if self.tool.path == "pinch" else _WHEEL
+        """Go deeper by some steps of the wheel; negative steps go up, and pull with a pinch."""
+        share = _PULL_STEP if self.tool.path == "pinch" else _WHEEL_STEP
         self._extra += steps * share * self.settings.radius
 
     def release(self) -> None:
-        """Note that the button is up."""
+        """Record that the button is up."""
         self.released = True
 
-    # What the tool does ---------------------------------------------------------------------------
+    # Motion ---------------------------------------------------------------------------------------
 
     def advance(self, duration: float) -> None:
         """Move for some simulated time [s]."""
         if not self._standing:
-            if self._waits(duration):
-                # It stays above the clay until its direction is known.
+            if self._is_waiting(duration):
+                # Stay above the clay until the direction is known.
                 return
             self._set_down()
             return
@@ -186,49 +185,49 @@ class Stroke:
         if self.released:
             self._lingered += duration
         step = self.settings.speed * duration
-        asked = self.wanted_depth - self.depth
-        self.depth += float(np.clip(asked * min(1.0, duration / _EASE), -step, step))
+        change = self.target_depth - self.depth
+        self.depth += float(np.clip(change * min(1.0, duration / _EASE_TIME), -step, step))
         if self._closing:
-            deep = self.wanted_depth - self.depth < 0.15 * self.settings.radius
+            deep = self.target_depth - self.depth < 0.15 * self.settings.radius
             if deep:
                 self.gap = max(self.gap - _PINCH_SPEED * duration, self.closed_gap)
         else:
-            self._walk(step)
+            self._follow_path(step)
             if not self._standing:
                 self._set_down()
                 return
         target = self.base.point - self.depth * self.base.normal
         self.tip = self.tip + _shortened(target - self.tip, step)
         wanted = frame_of(self.base.normal, self._tangent)
-        self.rotation = turned_towards(self.rotation, wanted, _TURN * duration)
+        self.rotation = turned_towards(self.rotation, wanted, _MAX_TURN_RATE * duration)
 
     @property
     def closed_gap(self) -> float:
         """Half the distance between the axes of two fingers that hold clay [m]."""
         thin = max(0.5 * self.settings.spacing, 0.1 * self.settings.radius)
-        # The fingertips are round and lean, so they meet above the points that are posed.
+        # The fingertips are round and tilted, so they touch above their tips' origins.
         return self.tool.size * self.settings.radius * (1.0 - np.sin(PINCH_LEAN)) + thin
 
     @property
     def _closing(self) -> bool:
         return self.tool.path == "pinch" and self.gap > self.closed_gap
 
-    def _waits(self, duration: float) -> bool:
-        """Whether a tool that is aligned with the stroke still waits for its direction."""
+    def _is_waiting(self, duration: float) -> bool:
+        """Whether a tool that is aligned with the stroke is still waiting for its direction."""
         if not self._undirected:
             return False
         self._waited += duration
         way = (self._queue[-1] if self._queue else self.base).point - self.base.point
-        if float(np.linalg.norm(way)) > _DIRECTED * self.settings.radius:
+        if float(np.linalg.norm(way)) > _MIN_TRAVEL * self.settings.radius:
             self._tangent = tangent_of(way, self.base.normal, self._tangent)
             self.direction = way / float(np.linalg.norm(way))
-        elif not self.released and (self._waited < _WAIT or self.tool.held):
+        elif not self.released and (self._waited < _MAX_WAIT or self.tool.held):
             return True
         self._undirected = False
         return False
 
     def _set_down(self) -> None:
-        """Stand clear of the clay and unfelt, as the tool may have come from anywhere."""
+        """Place the tool disabled and clear of the clay, as it may have come from anywhere."""
         self._standing = True
         self.enabled = False
         if self.tool.path != "view":
@@ -237,12 +236,12 @@ class Stroke:
             height = self.surface.height_above(
                 self.base.point, self.base.normal, wide, 2.5 * radius
             )
-            self.depth = -height - _CLEAR * self.settings.spacing
+            self.depth = -height - _CLEARANCE * self.settings.spacing
         self.tip = self.base.point - self.depth * self.base.normal
         self.rotation = frame_of(self.base.normal, self._tangent)
 
-    def _walk(self, step: float) -> None:
-        """Go along the path by a distance [m]."""
+    def _follow_path(self, step: float) -> None:
+        """Move along the path by a distance [m]."""
         radius = self.settings.radius
         while step > 0.0 and self._queue:
             waypoint = self._queue[0]
@@ -265,12 +264,12 @@ class Stroke:
                 self._steer(way / far, walked, radius)
 
     def _steer(self, direction: NDArray[np.float64], walked: float, radius: float) -> None:
-        """Turn the tool into the stroke's direction."""
+        """Turn the tool toward the stroke's direction."""
         if self.tool.rolls:
             self.rolled -= float(direction @ self.rotation[:, 1]) * walked / radius
         if self.is_flat:
             return
-        # There and back is one direction: no tool swings round where it turns back.
+        # Opposite directions are equivalent, so a tool does not turn around when a stroke reverses.
         if direction @ self._tangent < 0.0:
             direction = -direction
         blend = min(1.0, walked / (0.75 * radius))
@@ -279,7 +278,7 @@ class Stroke:
         )
 
     def _through_clay(self, view: View, x: float, y: float) -> Waypoint:
-        """Where a wire begins: abreast of the clay's middle."""
+        """Start of a wire, at the depth of the clay's center in the view."""
         ray = view.ray(x, y)
         middle = self.surface.positions.mean(0, dtype=np.float64)
         depth = float((middle - ray.origin) @ view.forward) / float(ray.direction @ view.forward)
@@ -289,16 +288,16 @@ class Stroke:
 
 
 def _shortened(vector: NDArray[np.float64], max_length: float) -> NDArray[np.float64]:
-    """A vector cut to a length [m], shape [3]."""
+    """A vector shortened to a maximum length [m], shape [3]."""
     length = float(np.linalg.norm(vector))
     return vector if length <= max_length else vector * (max_length / length)
 
 
 def _first_tangent(view: View, normal: NDArray[np.float64], path: str) -> NDArray[np.float64]:
-    """Where +Y points before there is a direction: up on the screen, along the surface."""
+    """Initial direction of the tool's +Y: up on the screen, tangential to the surface."""
     up = view.up - (view.up @ normal) * normal
     if path == "pinch":
-        # Two fingers stand left and right of the cursor.
+        # The two fingers are to the left and right of the cursor.
         right = tangent_of(view.right, normal, view.up)
         return np.cross(normal, right)
     if float(np.linalg.norm(up)) > 0.2:

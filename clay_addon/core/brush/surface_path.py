@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The path of the cursor over the clay as it was when the stroke began."""
+"""The path of the cursor over the clay as it was at the start of the stroke."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from .raycast import ParticleSurface
 from .view_ray import Ray, View
 
 _MAX_RAYS = 8
-"""Most rays cast for one motion of the cursor, so that none takes long."""
+"""Maximum number of rays cast for one motion of the cursor, to limit the time it takes."""
 _MIN_PIXELS = 3.0
-"""Least distance between rays [pixels]: closer together, the surface counts as straight."""
+"""Minimum distance between rays [pixels]; in between, the path is straight."""
 
 
 @dataclass(frozen=True)
 class Waypoint:
-    """A place for the tool to go to."""
+    """A point on the path of a tool."""
 
     point: NDArray[np.float64]
-    """On the surface, or in the plane of the view beside it [m], shape [3]."""
+    """Point on the surface, or beside it in a plane parallel to the view [m], shape [3]."""
     normal: NDArray[np.float64]
     """Unit vector away from the clay, shape [3]."""
     on_clay: bool
     """Whether the cursor is on the clay."""
     jump: bool = False
-    """Whether there is a gap before it, so that the tool must be lifted."""
+    """Whether there is a gap before this point, so that the tool must be lifted."""
 
 
 class SurfacePath:
-    """Turns places of the cursor into places of the tool.
+    """Converts positions of the cursor to waypoints of the tool.
 
     The surface is that of the start, so a tool that stays in place does not dig itself in. Where
-    the cursor leaves the clay, the path continues in the plane of the view through the last place.
-    Where the cursor crosses an edge to something far behind or in front, the path jumps.
+    the cursor leaves the clay, the path continues in the plane parallel to the view through the
+    last point. Where the cursor crosses an edge to something far behind or in front, it jumps.
 
     Args:
-        surface: The clay when the stroke begins.
-        radius: Of the brush [m].
-        level: Follow the surface low-passed.
-        flat: Follow the plane of the view through the first place, and no surface.
+        surface: The clay's surface at the start of the stroke.
+        radius: Radius of the brush [m].
+        level: Whether to low-pass the surface.
+        flat: Whether to follow the plane parallel to the view through the first point instead.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class SurfacePath:
         self._pixel = (0.0, 0.0)
 
     def begin(self, view: View, x: float, y: float) -> Waypoint | None:
-        """Where the stroke begins; None if there is no clay in front of the viewer.
+        """The first waypoint; None if there is no clay in front of the viewer.
 
         Args:
             view: The view that the cursor is in.
-            x: From the region's left edge [pixels].
-            y: From its lower edge [pixels].
+            x: Cursor's distance from the region's left edge [pixels].
+            y: Cursor's distance from the region's lower edge [pixels].
         """
         ray = view.ray(x, y)
         found = self._cast(ray)
@@ -75,31 +75,31 @@ class SurfacePath:
         return found
 
     def start_at(self, waypoint: Waypoint) -> None:
-        """Begin at another place than `begin` found, with the cursor where it is."""
+        """Replace the waypoint found by `begin`, for the same cursor position."""
         self._last = waypoint
 
     def extend(self, view: View, x: float, y: float) -> list[Waypoint]:
-        """The waypoints on the way to a new place of the cursor.
+        """The waypoints up to a new position of the cursor.
 
         Args:
             view: The view that the cursor is in.
-            x: From the region's left edge [pixels].
-            y: From its lower edge [pixels].
+            x: Cursor's distance from the region's left edge [pixels].
+            y: Cursor's distance from the region's lower edge [pixels].
         """
         assert self._last is not None, "begin comes first"
-        far = math.dist(self._pixel, (x, y))
-        if far < 0.5:
+        distance = math.dist(self._pixel, (x, y))
+        if distance < 0.5:
             return []
         pixel = view.pixel(self._last.point)
         step = max(0.5 * self.radius / max(pixel, 1e-12), _MIN_PIXELS)
-        pieces = min(max(math.ceil(far / step), 1), _MAX_RAYS)
-        begin, way = self._pixel, []
-        for piece in range(1, pieces + 1):
-            part = piece / pieces
-            place = (begin[0] + part * (x - begin[0]), begin[1] + part * (y - begin[1]))
-            way.append(self._follow(view, *place, expected=far / pieces * pixel))
+        count = min(max(math.ceil(distance / step), 1), _MAX_RAYS)
+        begin, waypoints = self._pixel, []
+        for index in range(1, count + 1):
+            part = index / count
+            cursor = (begin[0] + part * (x - begin[0]), begin[1] + part * (y - begin[1]))
+            waypoints.append(self._follow(view, *cursor, expected=distance / count * pixel))
         self._pixel = (x, y)
-        return way
+        return waypoints
 
     def _follow(self, view: View, x: float, y: float, expected: float) -> Waypoint:
         last = self._last
@@ -107,7 +107,7 @@ class SurfacePath:
         ray = view.ray(x, y)
         found = None if self.flat else self._cast(ray)
         if found is None:
-            point = ray.meet_plane(last.point, view.forward)
+            point = ray.intersect_plane(last.point, view.forward)
             found = Waypoint(last.point if point is None else point, last.normal, self.flat)
         else:
             gap = abs(float((found.point - last.point) @ view.forward))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A pose for each mesh and mirrored copy of a tool, from the place of its tip."""
+"""Poses of each mesh and mirrored copy of a tool, from the pose of its tip."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ..tools.settings import BrushSettings
 from .mirror import mirror_matrices, snap_to_planes, used_copies
 from .stroke import PINCH_LEAN, PINCH_OPEN
 
-_TOUCHING = 0.5
-_OFF = 2.0
-"""Distance of the plate from the centers of the farthest particles [spacings]: holding, and not."""
+_HOLDING = 0.5
+_CLEAR = 2.0
+"""Distance of the plate from the centers of the farthest particles, holding and not [spacings]."""
 
 _LEAN = np.eye(4)
 _LEAN[:3, :3] = matrices_from_rotation_vectors((0.0, PINCH_LEAN, 0.0))
@@ -28,20 +28,20 @@ def part_poses(
     rolled: float,
     extent: float,
 ) -> list[NDArray[np.float64]]:
-    """Poses of a tool's parts in its own frame, whose origin is the tip; shape [4, 4] each.
+    """Poses of a tool's parts in the tool's frame, whose origin is the tip; shape [4, 4] each.
 
     Args:
-        settings: Of the brush.
+        settings: Settings of the brush.
         parts: Number of meshes, without the plate.
-        made_radius: The radius that the meshes were made for [m].
-        gap: Half the distance between the axes of two fingers [m]; wide open if not given.
+        made_radius: Radius that the meshes were made for [m].
+        gap: Half the distance between the axes of two fingers [m]; wide open by default.
         rolled: Angle by which a rolling tool has turned about X [rad].
-        extent: Of the clay [m]; a wire reaches through all of it.
+        extent: Extent of the clay [m]; a wire reaches through all of it.
     """
     radius = settings.radius
     sized = np.diag([radius / made_radius] * 3 + [1.0])
     if settings.tool.path == "view":
-        # From any place of the clay to well out of it on either side.
+        # Long enough to stick out of the clay at both ends, wherever it cuts.
         return [np.diag([1.0, 1.0, 2.2 * max(extent, radius) / WIRE_LENGTH, 1.0])]
     if settings.tool.path == "pinch":
         away = PINCH_OPEN * radius if gap is None else gap
@@ -64,14 +64,14 @@ def copy_poses(
     enabled: bool,
     parts: list[NDArray[np.float64]],
 ) -> list[tuple[NDArray[np.float64], bool]]:
-    """Poses of all parts of all copies, and whether the clay feels each.
+    """Poses of all parts of all mirrored copies, and whether each acts on the clay.
 
     Args:
-        settings: Of the brush.
-        tip: Where the tool's tip is [m], shape [3].
-        rotation: World from the tool's axes, shape [3, 3].
-        enabled: Whether the clay feels the tool.
-        parts: The result of `part_poses`; empty for a brush that touches nothing.
+        settings: Settings of the brush.
+        tip: Location of the tool's tip [m], shape [3].
+        rotation: Rotation matrix from the tool's axes to the world, shape [3, 3].
+        enabled: Whether the tool acts on the clay.
+        parts: The result of `part_poses`; empty for a brush without meshes.
     """
     if not parts:
         return []
@@ -90,22 +90,22 @@ def fence_pose(
     settings: BrushSettings,
     positions: NDArray[np.floating],
     direction: NDArray[np.float64],
-    felt: bool,
+    enabled: bool,
 ) -> NDArray[np.float64]:
     """Pose of the plate that holds the clay while it is cut, shape [4, 4].
 
-    A blade pushes harder than light clay sticks to its table. Tools do not collide with each other,
+    Without it, a blade would push light clay along the table. Tools do not collide with each other,
     so the blade passes through the plate.
 
     Args:
-        settings: Of the brush.
-        positions: The clay when the stroke began [m], shape [N, 3].
+        settings: Settings of the brush.
+        positions: The clay's particles at the start of the stroke [m], shape [N, 3].
         direction: Unit vector of the stroke, shape [3].
-        felt: Whether it touches the clay or stands off.
+        enabled: Whether it touches the clay or stays clear of it.
     """
     middle = positions.mean(0, dtype=np.float64)
     far = float((positions @ direction.astype(np.float32)).max()) - float(middle @ direction)
-    far += (_TOUCHING if felt else _OFF) * settings.spacing
+    far += (_HOLDING if enabled else _CLEAR) * settings.spacing
     extent = float(np.ptp(positions, axis=0).max())
     pose = np.eye(4)
     sizes = np.array([4.0 * extent, 4.0 * extent, 4.0 * settings.spacing])

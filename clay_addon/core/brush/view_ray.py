@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays from a 3D view into the scene and back, without Blender."""
+"""Projection between a 3D view and the scene, without Blender."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True)
 class Ray:
-    """A half line."""
+    """A ray."""
 
     origin: NDArray[np.float64]
-    """Where it starts [m], shape [3]."""
+    """Start point [m], shape [3]."""
     direction: NDArray[np.float64]
     """Unit vector, shape [3]."""
 
     def at(self, distance: float) -> NDArray[np.float64]:
-        """The point at a distance from the origin [m], shape [3]."""
+        """The point at a distance [m] from the origin, shape [3]."""
         return self.origin + distance * self.direction
 
-    def meet_plane(
+    def intersect_plane(
         self, point: NDArray[np.float64], normal: NDArray[np.float64]
     ) -> NDArray[np.float64] | None:
-        """Where the ray meets a plane [m], shape [3]; None if it runs along or away from it."""
+        """Intersection with a plane [m], shape [3]; None if the ray is parallel or points away."""
         slope = float(self.direction @ normal)
         if abs(slope) < 1e-6:
             return None
@@ -45,17 +45,17 @@ class View:
     """
 
     perspective: NDArray[np.float64]
-    """Clip space from world coordinates [Blender units], shape [4, 4]."""
+    """World coordinates [Blender units] to clip space, shape [4, 4]."""
     view_matrix: NDArray[np.float64]
-    """Camera space from world coordinates [Blender units], shape [4, 4]."""
+    """World coordinates [Blender units] to camera space, shape [4, 4]."""
     is_perspective: bool
     """False for an orthographic view."""
     width: int
-    """Of the region [pixels]."""
+    """Width of the region [pixels]."""
     height: int
-    """Of the region [pixels]."""
+    """Height of the region [pixels]."""
     scale: float
-    """Meters in a Blender unit."""
+    """Length of a Blender unit [m]."""
 
     @cached_property
     def _camera(self) -> NDArray[np.float64]:
@@ -67,12 +67,12 @@ class View:
 
     @property
     def right(self) -> NDArray[np.float64]:
-        """Unit vector to the right of the screen, shape [3]."""
+        """Unit vector to the right on the screen, shape [3]."""
         return _unit(self._camera[:3, 0])
 
     @property
     def up(self) -> NDArray[np.float64]:
-        """Unit vector to the top of the screen, shape [3]."""
+        """Unit vector upward on the screen, shape [3]."""
         return _unit(self._camera[:3, 1])
 
     @property
@@ -84,8 +84,8 @@ class View:
         """The ray through a pixel.
 
         Args:
-            x: From the region's left edge [pixels].
-            y: From its lower edge [pixels].
+            x: Distance from the region's left edge [pixels].
+            y: Distance from the region's lower edge [pixels].
         """
         clip = np.array([2.0 * x / self.width - 1.0, 2.0 * y / self.height - 1.0, 0.0, 1.0])
         seen = self._unproject @ clip
@@ -93,17 +93,17 @@ class View:
         if self.is_perspective:
             eye = self._camera[:3, 3]
             direction = _unit(point - eye)
-            # Depth 0 of a perspective lies in front of the eye, wherever the far plane is.
+            # Whatever the far plane is, depth 0 is in front of the eye: the ray points forward.
             if direction @ self.forward < 0.0:
                 direction = -direction
             return Ray(eye * self.scale, direction)
-        # An orthographic view also shows what is behind its own camera.
+        # An orthographic view also shows what is behind its camera.
         back = float(np.linalg.norm(self._camera[:3, 3])) + 1.0 / self._clip_depth
         return Ray((point - back * self.forward) * self.scale, self.forward)
 
     @property
     def _clip_depth(self) -> float:
-        """Clip-space depth of one unit into an orthographic view."""
+        """Clip-space depth per Blender unit of an orthographic view."""
         return max(float(np.linalg.norm(self.perspective[2, :3])), 1e-9)
 
     def project(self, point: ArrayLike) -> tuple[float, float] | None:
@@ -117,7 +117,7 @@ class View:
         )
 
     def pixel(self, point: ArrayLike) -> float:
-        """Size of a pixel where a point is [m]."""
+        """Size of a pixel at the depth of a point [m]."""
         place = np.append(np.asarray(point, np.float64) / self.scale, 1.0)
         depth = max(float(self.perspective[3] @ place), 1e-12)
         across = abs(float(self.perspective[0, :3] @ self.right))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 3D view under the mouse, unless a panel, header or gizmo is there."""
+"""Finding the 3D view under the mouse, unless it is over a panel, header or gizmo."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ _GIZMO_MARGIN = 12
 _BUTTON = 30
 """Size of one of the round buttons below the gizmo [interface pixels]."""
 _BUTTONS = 5
+"""Number of those buttons."""
 
 
 @dataclass(frozen=True)
@@ -24,22 +25,22 @@ class Pointer:
     view: View
     """What the region shows."""
     x: float
-    """From its left edge [pixels]."""
+    """Distance from the region's left edge [pixels]."""
     y: float
-    """From its lower edge [pixels]."""
+    """Distance from the region's lower edge [pixels]."""
     area: Any
-    """The view's area."""
+    """The area of the view."""
     region: Any
-    """The region itself."""
+    """The region of the view."""
 
 
 def find_pointer(context: Any, mouse_x: int, mouse_y: int) -> Pointer | None:
     """The 3D view under the mouse; None over headers, panels, gizmos and other editors.
 
     Args:
-        context: Its window is searched, quad views too.
-        mouse_x: From the window's left edge [pixels].
-        mouse_y: From its lower edge [pixels].
+        context: Its window is searched, including quad views.
+        mouse_x: Distance from the window's left edge [pixels].
+        mouse_y: Distance from the window's lower edge [pixels].
     """
     window = context.window
     if window is None:
@@ -48,7 +49,7 @@ def find_pointer(context: Any, mouse_x: int, mouse_y: int) -> Pointer | None:
         if area.type != "VIEW_3D" or not _inside(area, mouse_x, mouse_y):
             continue
         for region in area.regions:
-            # Regions that are closed keep a size of 1.
+            # Closed regions have a size of 1.
             if region.type == "WINDOW" or min(region.width, region.height) <= 1:
                 continue
             if _inside(region, mouse_x, mouse_y):
@@ -62,7 +63,7 @@ def find_pointer(context: Any, mouse_x: int, mouse_y: int) -> Pointer | None:
 
 
 def pointer_in(context: Any, area: Any, region: Any, mouse_x: int, mouse_y: int) -> Pointer:
-    """The mouse as seen from a region, even after it has left the region during a stroke."""
+    """The mouse relative to a region, even after it has left the region during a stroke."""
     shown = region.data
     view = View(
         np.array(shown.perspective_matrix, np.float64),
@@ -72,7 +73,7 @@ def pointer_in(context: Any, area: Any, region: Any, mouse_x: int, mouse_y: int)
         height=region.height,
         scale=context.scene.unit_settings.scale_length,
     )
-    # The center of the pixel.
+    # Half a pixel is added to get its center.
     return Pointer(view, mouse_x - region.x + 0.5, mouse_y - region.y + 0.5, area, region)
 
 
@@ -93,7 +94,7 @@ def _on_gizmo(context: Any, area: Any, region: Any, x: int, y: int) -> bool:
     for other in area.regions:
         if min(other.width, other.height) <= 1:
             continue
-        # Regions lie over the view where they overlap it.
+        # Overlapping regions cover part of the view.
         if other.type == "UI" and other.alignment == "RIGHT" and _overlap(other, region):
             right = min(right, other.x)
         if (

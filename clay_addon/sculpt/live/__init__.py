@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A live session and its parts: the solver, the clay that is shown, touch, take, undo, autosave."""
+"""A live session and its parts: solver, displayed clay, touch, take, undo and autosave."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Autosave of a live session: a crash costs a few seconds of work.
+"""Autosave of a live session, so that a crash costs only a few seconds of work.
 
 Blender does not autosave while a modal operator like Sculpt runs, so the session does: after each
-stroke, and every few seconds while the clay moves. The file lies beside the .blend and is removed
-when the session ends or the .blend is saved. If one is found when a .blend is opened, the session
-was cut short, and its clay is recovered.
+stroke, and every few seconds while the clay moves. The file is beside the .blend and is removed
+when the session ends or the .blend is saved. If one exists when a .blend is opened, the session was
+interrupted, and its clay is recovered.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ _SUFFIX = ".clay-autosave.npz"
 _INTERVAL = 5.0
 """Time between saves while the clay moves [s]."""
 _VERSION = 1
-_NEVER_SAVED = "Save the .blend once: until then, a crash loses the clay."
+_NEVER_SAVED = "Save the .blend: until it has been saved once, a crash loses the clay."
 
 
 class Recovery:
-    """What was recovered when the open file was opened."""
+    """The recovery, if any, when the current file was opened."""
 
     def __init__(self) -> None:
         self.message = ""
-        """What was recovered, or why it could not be, as a sentence; empty if there was nothing."""
+        """What was recovered, or why that failed, as a sentence; empty if there was no autosave."""
 
 
 recovery = Recovery()
 
 
 def autosave_path(blend: str) -> Path | None:
-    """Where the clay of a .blend is autosaved; None if the .blend was never saved."""
+    """The autosave file of a .blend; None if the .blend was never saved."""
     return Path(f"{blend}{_SUFFIX}") if blend else None
 
 
@@ -60,19 +60,19 @@ class Autosave:
         self.problem = ""
         """Why the last save failed; empty if it succeeded."""
 
-    def now_and_then(self, scene: bpy.types.Scene, now: float) -> None:
-        """Save if the last time was a while ago.
+    def save_if_due(self, scene: bpy.types.Scene, now: float) -> None:
+        """Save if the interval since the last save is over.
 
         Args:
-            scene: The session's.
-            now: Seconds of a steady clock.
+            scene: The session's scene.
+            now: Time of a monotonic clock [s].
         """
         if self._last is None or now - self._last >= _INTERVAL:
             self._last = now
             self.begin(scene)
 
     def begin(self, scene: bpy.types.Scene) -> None:
-        """Begin to save the clay as shown, unless the last save is still running."""
+        """Start saving the clay as displayed, unless the last save is still running."""
         path = autosave_path(bpy.data.filepath)
         if path is None:
             self.problem = _NEVER_SAVED
@@ -89,14 +89,14 @@ class Autosave:
         self._writing = self._executor.submit(_write, path, arrays)
 
     def close(self) -> None:
-        """End the thread, and remove the file: the clay is in Blender."""
+        """End the thread, and remove the file, as Blender has the clay."""
         self._executor.shutdown(wait=True)
         for path in self._paths:
             with suppress(OSError):
                 path.unlink(missing_ok=True)
 
     def forget(self) -> None:
-        """Remove the file after the .blend was saved: it holds nothing newer."""
+        """Remove the file after the .blend was saved, as it contains nothing newer."""
         if self._writing is not None:
             self._writing.exception()
         for path in self._paths:
@@ -127,17 +127,17 @@ def _write(path: Path, arrays: dict[str, NDArray]) -> None:
 
 
 def recover(context: bpy.types.Context, path: Path) -> list[str]:
-    """Give the clay of the open file the shape that a session autosaved.
+    """Restore the clay of the current file from an autosave.
 
     Args:
-        context: Its scenes hold the clay.
-        path: The file that the session left behind.
+        context: The context of the current file.
+        path: The autosave file.
 
     Returns:
-        Names of the objects that were recovered.
+        Names of the recovered objects.
 
     Raises:
-        ValueError: The file is no autosave, or is damaged.
+        ValueError: The file is not an autosave, or is damaged.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -145,7 +145,7 @@ def recover(context: bpy.types.Context, path: Path) -> list[str]:
         names = [str(name) for name in arrays["names"]]
         scene_name = str(arrays["scene"])
         if int(arrays["version"]) != _VERSION:
-            raise ValueError(f"it is of version {int(arrays['version'])}")
+            raise ValueError(f"it has the unknown version {int(arrays['version'])}")
     except (OSError, KeyError, ValueError, EOFError, BadZipFile) as error:
         raise ValueError(f"{path.name} cannot be read: {error}") from error
     scene = bpy.data.scenes.get(scene_name)
@@ -165,18 +165,18 @@ def recover(context: bpy.types.Context, path: Path) -> list[str]:
 
 @persistent
 def _on_load(*_: object) -> None:
-    later.ask(_recover_beside_file)
+    later.schedule(_recover_beside_file)
 
 
 def _recover_beside_file() -> None:
-    """Recover what a session that was cut short left beside the file that was opened."""
+    """Recover the clay of an interrupted session from the autosave beside the opened file."""
     recovery.message = ""
     path = autosave_path(bpy.data.filepath)
     if path is None or not path.is_file():
         return
     with suppress(OSError):
         if path.stat().st_mtime < Path(bpy.data.filepath).stat().st_mtime:
-            # The .blend was saved later.
+            # The .blend is newer.
             path.unlink()
             return
     try:
@@ -186,13 +186,13 @@ def _recover_beside_file() -> None:
         return
     if recovered:
         recovery.message = (
-            f"The last session was cut short. {', '.join(recovered)} was recovered from its "
-            "autosave; save the file to keep it."
+            f"The last session was interrupted. {', '.join(recovered)} was recovered from its "
+            "autosave. Save the file to keep it."
         )
 
 
 def register() -> None:
-    """Look for an autosave whenever a file is opened."""
+    """Check for an autosave whenever a file is opened."""
     add_handlers((("load_post", _on_load),))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the clay of a scene is free to be sculpted."""
+"""Checks whether the clay of a scene can be sculpted now."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ class SculptError(TactileClayError):
 
 
 def check_free(scene: bpy.types.Scene) -> None:
-    """Refuse if something else uses the clay.
+    """Check that nothing prevents the clay from being sculpted.
 
     Raises:
-        SculptError: The clay is being baked or rendered, or is packed or linked.
+        SculptError: Something is missing from the installation, or the clay is in use, delivered,
+            being rendered, packed or linked.
     """
     for sentence in missing_parts():
         raise SculptError(sentence)
@@ -31,11 +32,11 @@ def check_free(scene: bpy.types.Scene) -> None:
         raise SculptError(str(error)) from error
     if delivered_object(scene) is not None:
         raise SculptError(
-            "What was delivered is shown in place of the clay. Press Show Clay Again first (Clay > "
-            "Delivery)."
+            "The delivered files are shown in place of the clay. Press Show Clay Again first (Clay "
+            "> Delivery)."
         )
     if bpy.app.is_job_running("RENDER"):
-        raise SculptError("Blender is rendering. Sculpt when it has done.")
+        raise SculptError("Blender is rendering. Wait until it has finished.")
     for item in clay_objects(scene):
         if is_packed(item):
             raise SculptError(

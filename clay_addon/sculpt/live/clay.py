@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The clay that a live session shows: its points, and the surface that stands for them."""
+"""The clay displayed by a live session: its points, and the surface shown in their place."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from ...simulate.simulation import Simulation
 from .surface import LiveSurface
 
 _MOVED = 0.02
-"""Clay that moved less than this counts as unchanged, in spacings."""
+"""Clay that moved less than this counts as unchanged [spacings]."""
 _MOVED_FAR = 0.5
-"""Clay that nobody touched is worth an undo step if it moved farther than this, in spacings: it
+"""Clay that was not touched gets an undo step only if it moved farther than this [spacings], as it
 springs back a little after each stroke."""
 
 
 class LiveClay:
-    """Writes positions into the point clouds of a scene, and keeps them when asked to.
+    """Writes positions to the point clouds of a scene, and makes them the starting shape.
 
     Args:
-        budget: Where the time that this takes is noted.
+        budget: Records the time that this takes.
     """
 
     def __init__(self, budget: FrameBudget) -> None:
         self.positions = np.zeros((0, 3), np.float32)
-        """All particles as shown, world [Blender units], shape [N, 3]."""
+        """World positions of all particles as displayed [Blender units], shape [N, 3]."""
         self.changed = False
         """Whether the clay has changed since the last undo step."""
         self.surface: LiveSurface | None = None
-        """What stands for the clay; None until the clay has moved."""
+        """The surface shown in place of the clay; None until the first `show_surface`."""
         self._kept = self.positions
         self._budget = budget
         self._simulation: Simulation | None = None
 
-    def take_up(self, scene: bpy.types.Scene, simulation: Simulation) -> None:
-        """Show the clay of another simulation from now on, as it is in Blender."""
+    def switch_to(self, scene: bpy.types.Scene, simulation: Simulation) -> None:
+        """Switch to the clay of a new simulation, as it is in Blender."""
         before, self._simulation = self._simulation, simulation
         self.positions = self._kept = np.concatenate(simulation.rest)
         if before is None or before.parts != simulation.parts:
@@ -52,17 +52,17 @@ class LiveClay:
             self.offer_surface(scene)
 
     def show(self, scene: bpy.types.Scene, positions: NDArray[np.float32]) -> None:
-        """Write new positions into the point clouds.
+        """Write new positions to the point clouds.
 
         Args:
-            scene: The session's.
-            positions: Of all particles, world [m], shape [N, 3].
+            scene: The session's scene.
+            positions: World positions of all particles [m], shape [N, 3].
         """
         simulation = self._simulation
         assert simulation is not None
         with self._budget.measured("write"):
             world = positions / np.float32(simulation.scale)
-            # Sleeping clay does not move at all: Blender need not draw it again.
+            # Sleeping clay does not move at all, so Blender need not redraw it.
             if np.array_equal(self.positions, world):
                 return
             self.positions = world
@@ -75,35 +75,35 @@ class LiveClay:
     def by_object(
         self, scene: bpy.types.Scene, values: NDArray[np.float32]
     ) -> Iterator[tuple[bpy.types.Object, NDArray[np.float32]]]:
-        """Each clay object with its rows of an array that has one for each particle."""
+        """Each clay object with its rows of an array that has one row per particle."""
         first = 0
         for part in self._simulation.parts if self._simulation else ():
             yield scene.objects[part.name], values[first : first + part.count]
             first += part.count
 
     def has_moved_far(self) -> bool:
-        """Whether the clay has moved so far since the last undo step that it deserves another."""
+        """Whether the clay has moved far enough since the last undo step to need another."""
         assert self._simulation is not None
         return self._moved() > _MOVED_FAR * self._simulation.spacing
 
     # Keeping ------------------------------------------------------------------------------------
 
     def store(self, scene: bpy.types.Scene) -> None:
-        """Let a bake start from the clay as shown; objects that were deleted are left out."""
+        """Make the displayed clay the starting shape of a bake; deleted objects are skipped."""
         for part in self._simulation.parts if self._simulation else ():
             item = scene.objects.get(part.name)
             if item is not None:
                 keep_sculpted(item)
 
     def mark_kept(self) -> None:
-        """Note that an undo step is made of the clay as shown."""
+        """Record that the clay as displayed gets an undo step."""
         self._kept = self.positions
         self.changed = False
 
     # The surface --------------------------------------------------------------------------------
 
     def show_surface(self, context: bpy.types.Context) -> bool:
-        """Show the newest surface, if there is a new one; whether that changed anything."""
+        """Show the latest surface, if there is a new one; returns whether the display changed."""
         if self.surface is None:
             clay = [item for item, _ in self.by_object(context.scene, self.positions)]
             self.surface = LiveSurface(context, clay)
@@ -116,17 +116,17 @@ class LiveClay:
         return shown
 
     def offer_surface(self, scene: bpy.types.Scene) -> None:
-        """Have a surface made of the clay as shown."""
+        """Request a surface of the clay as displayed."""
         if self.surface is not None:
             parts = self.by_object(scene, self.positions)
             self.surface.offer([(points, clay_colors(item)) for item, points in parts])
 
     def close_surface(self) -> None:
-        """Show the clay itself; a second call does nothing."""
+        """Show the clay itself again; a second call does nothing."""
         surface, self.surface = self.surface, None
         if surface is not None:
             surface.close()
 
     def _moved(self) -> float:
-        """The farthest that any particle moved since the last undo step [Blender units]."""
+        """Maximum change of any coordinate since the last undo step [Blender units]."""
         return float(np.abs(self.positions - self._kept).max(initial=0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The live session that runs, if one does, and the clay as the last one found it."""
+"""The running live session, if any, and the clay as it was before the last one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class CurrentSession:
 
     def __init__(self) -> None:
         self.session: SculptSession | None = None
-        """The session that runs; None while there is none."""
+        """The running session, if any."""
         self.clay_before: dict[str, tuple[NDArray, NDArray]] = {}
         """Local positions and colors of each clay object, by name, before the last session."""
 
@@ -25,8 +25,8 @@ class CurrentSession:
         """Start sculpting a scene.
 
         Args:
-            context: Its scene is sculpted.
-            tools: What the mouse holds.
+            context: Context with the scene to sculpt.
+            tools: The mouse's tools.
 
         Raises:
             SculptError: A session is already running, or the scene cannot be sculpted.
@@ -38,7 +38,7 @@ class CurrentSession:
         return self.session
 
     def stop(self, context: bpy.types.Context | None) -> None:
-        """End the session if one is running, and keep the clay as shown.
+        """End the session if one is running, and keep the clay as displayed.
 
         Args:
             context: None if Blender's data no longer belongs to the session.

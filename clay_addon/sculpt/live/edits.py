@@ -21,13 +21,13 @@ def edit_clay(
 ) -> bool:
     """Apply edits to clay objects.
 
-    New clay goes to the nearest object. An edit that would remove an object's last particle is
-    ignored there, so that it does not vanish under a brush.
+    New clay is added to the nearest object. An edit that would remove an object's last particle is
+    ignored for that object, so that it does not vanish under a brush.
 
     Args:
-        context: Where the objects are.
+        context: The context with the objects.
         clay: Clay objects.
-        edits: What to do, in order.
+        edits: Edits to apply in order.
 
     Returns:
         Whether anything has changed.

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The live session: clay that moves under hands and tools while Blender keeps running.
 
-Blender's main thread calls `SculptSession.tick` often. When the solver's thread is idle, the tick
-takes its result, tells the solver where everything is by now, lets it take the next step, and then
-shows the result. Neither thread waits for the other, and only one of them uses the solver at a
-time. The session holds the order of things; its parts do them: `LiveSolver`, `LiveClay`,
-`LiveTouch`, `SessionTake`, `UndoStates` and `Autosave`.
+Blender's main thread calls `SculptSession.tick` often. If the solver's thread is idle, the tick
+takes its result, updates the poses of hands, colliders and tools, starts the next step, and then
+displays the result. Neither thread waits for the other, and only one of them uses the solver at a
+time. The session only coordinates; the work is done by `LiveSolver`, `LiveClay`, `LiveTouch`,
+`SessionTake`, `UndoStates` and `Autosave`.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class SculptSession:
     """Sculpts the clay of a scene until `finish`.
 
     Args:
-        context: Its scene is sculpted.
-        tools: What the mouse holds.
-        device: ``auto``, ``cpu`` or ``cuda:0``; the preferences' where not given.
-        clock: Seconds of a steady clock.
+        context: Context with the scene to sculpt.
+        tools: The mouse's tools.
+        device: ``auto``, ``cpu`` or ``cuda:0``; by default the preferences decide.
+        clock: Returns the time of a monotonic clock [s].
 
     Raises:
         SculptError: The scene cannot be sculpted; nothing has changed.
@@ -76,8 +76,8 @@ class SculptSession:
         self.budget = FrameBudget()
         self.undo = UndoStates()
         self.clay = LiveClay(self.budget)
-        self.felt = 0.0
-        """Force of the clay on the hands [N]."""
+        self.hand_force = 0.0
+        """Sum of the magnitudes of the clay's force on each hand [N]."""
         self._clock = clock
         self._strokes = StrokeWatch()
         self._faults: list[str] = []
@@ -87,7 +87,7 @@ class SculptSession:
         self._take = SessionTake(wanted=context.scene.tactile_clay.record_take)
         self._touch = LiveTouch()
         refresh(context.scene)
-        # What must be undone at the end, also if the session cannot even start.
+        # What must be cleaned up at the end, even if the session fails to start.
         with ExitStack() as closing:
             try:
                 self._solver = LiveSolver(solver_device(context, device))
@@ -104,31 +104,31 @@ class SculptSession:
             closing.enter_context(own_touch())
             self._closing = closing.pop_all()
 
-    # What others ask ----------------------------------------------------------------------------
+    # State --------------------------------------------------------------------------------------
 
     @property
     def simulation(self) -> Simulation:
-        """What is simulated now."""
+        """The current simulation."""
         return self._solver.simulation
 
     @property
     def positions(self) -> NDArray[np.float32]:
-        """All particles as shown, world [Blender units], shape [N, 3]."""
+        """World positions of all particles as displayed [Blender units], shape [N, 3]."""
         return self.clay.positions
 
     @property
     def busy(self) -> bool:
-        """Whether the solver is at work."""
+        """Whether the solver is busy."""
         return self._solver.worker.busy
 
     @property
     def factor(self) -> float:
-        """Simulated time over real time."""
+        """Speed of simulated time relative to real time."""
         return self.pace.factor(self._clock())
 
     @property
     def compiling_seconds(self) -> float:
-        """How long the solver has been getting ready [s]; 0 once the clay moves."""
+        """How long the solver has been starting [s]; 0 once the clay moves."""
         if self.pace.started or not self._solver.worker.busy:
             return 0.0
         return time.perf_counter() - self._solver.worker.since
@@ -140,16 +140,16 @@ class SculptSession:
         return [message for message in said if message]
 
     def wait(self) -> None:
-        """Wait until the solver is idle: call it before anything else uses Warp."""
+        """Wait until the solver is idle; call this before anything else uses Warp."""
         self._solver.worker.wait()
 
     # Each tick ----------------------------------------------------------------------------------
 
     def tick(self, context: bpy.types.Context) -> bool:
-        """Do what is due now; never wait.
+        """Do what is due now, without waiting.
 
         Returns:
-            Whether something new is shown.
+            Whether the display has changed.
 
         Raises:
             SculptError: The session cannot continue; call `finish`.
@@ -165,15 +165,15 @@ class SculptSession:
             raise SculptError(str(error)) from error
 
     def _tick(self, context: bpy.types.Context) -> bool:
-        # What Undo left to do about stand-ins and brushes comes before the clay itself.
+        # Work deferred by Undo, such as restoring brushes, comes before the clay itself.
         later.run()
         scene = self._scene(context)
         stepped = self._solver.worker.take()
         if self._undone:
-            self._take_up_undo(context)
+            self._restore_undone(context)
             return True
         if self._solver.is_outdated(scene, self.tools):
-            # The last step is dropped: clay may have been moved or deleted since.
+            # Drop the last step: clay may have been moved or deleted since.
             self._begin_build(context)
             return True
         news = stepped is not None
@@ -196,12 +196,12 @@ class SculptSession:
         clay_activity.pace = self.factor
         if duration:
             self._begin_step(context, duration)
-        # The rest is done while the solver works.
+        # The rest runs in parallel with the solver.
         if stepped is not None:
             self.clay.show(scene, stepped.positions)
         news |= self.clay.show_surface(context)
         if self.clay.changed:
-            self.autosave.now_and_then(scene, self._clock())
+            self.autosave.save_if_due(scene, self._clock())
         return news
 
     def _begin_step(self, context: bpy.types.Context, duration: float) -> None:
@@ -210,7 +210,7 @@ class SculptSession:
             try:
                 self.simulation.follow(context.evaluated_depsgraph_get())
             except SimulationError:
-                # Something that was followed is gone or has changed: try to build again.
+                # A tracked object was deleted or has changed: try to rebuild.
                 self._begin_build(context)
                 return
             poses = self.tools.poses(duration, self.clay.positions)
@@ -219,7 +219,7 @@ class SculptSession:
         self._solver.begin_step(duration)
 
     def _edit(self, context: bpy.types.Context, edits: Sequence[Edit]) -> None:
-        """Add, remove or paint clay; if particles came or went, the next tick builds a solver."""
+        """Add, remove or paint clay; if the number of particles changes, the next tick rebuilds."""
         scene = context.scene
         clay = [scene.objects[part.name] for part in self.simulation.parts]
         if edit_clay(context, clay, edits):
@@ -227,14 +227,14 @@ class SculptSession:
             self._strokes.touched(self._clock())
             self._take.edit(edits)
             if not self._solver.is_outdated(scene, self.tools):
-                # Paint shows at once, also on clay that does not move.
+                # Show paint immediately, even on clay that does not move.
                 self.clay.offer_surface(scene)
 
     def _read(self, scene: bpy.types.Scene, stepped: Stepped) -> None:
-        """Check, record and feel the result of a step before the next one begins."""
+        """Check and record a step's result and render it as touch, before the next one begins."""
         if not np.isfinite(stepped.positions).all():
             raise SculptError(
-                "The simulation became unstable. The clay is as it was after the last stroke; use "
+                "The simulation became unstable. The clay is as it was after the last stroke. Use "
                 "more substeps."
             )
         if not stepped.duration:
@@ -248,8 +248,10 @@ class SculptSession:
         self._take.step(stepped.duration, world)
         with self.budget.measured("touch"):
             self._touch.after(self.simulation, stepped)
-        self.felt = sum(float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts)
-        if self.felt or (stepped.tool_force and self.tools.stroking):
+        self.hand_force = sum(
+            float(np.linalg.norm(part.forces.sum(0))) for part in stepped.contacts
+        )
+        if self.hand_force or (stepped.tool_force and self.tools.stroking):
             self._strokes.touched(self._clock())
 
     def _note_faults(self) -> None:
@@ -264,10 +266,10 @@ class SculptSession:
     # Undo and saving ----------------------------------------------------------------------------
 
     def keep(self, scene: bpy.types.Scene, message: str) -> None:
-        """Make an undo step of the clay as shown, and let a bake start from it.
+        """Push an undo step with the clay as displayed, and make it the starting shape of a bake.
 
         Args:
-            scene: The session's.
+            scene: The session's scene.
             message: Name of the undo step.
         """
         for item, _ in self.clay.by_object(scene, self.clay.positions):
@@ -278,41 +280,41 @@ class SculptSession:
         self.autosave.begin(scene)
 
     def before_saving(self, scene: bpy.types.Scene) -> None:
-        """Let a bake of the saved file start from the clay as shown, without an undo step."""
+        """Make the clay as displayed the starting shape of a bake, without an undo step."""
         if self.clay.changed:
             self.clay.store(scene)
 
     def undone(self) -> None:
-        """Note that Blender has undone or redone something: the next tick takes it up."""
+        """Record that Blender has undone or redone something; the next tick handles it."""
         self._undone = True
 
-    def _take_up_undo(self, context: bpy.types.Context) -> None:
+    def _restore_undone(self, context: bpy.types.Context) -> None:
         scene = context.scene
         self._undone = self.clay.changed = False
-        # Undo turned the wheels back together with the clay on them.
+        # Undo has turned the wheels back together with the clay on them.
         self.wheels = LiveWheels(scene)
         self._solver.prepare(context, self.tools)
-        self.clay.take_up(scene, self.simulation)
+        self.clay.switch_to(scene, self.simulation)
         self._solver.begin(state=self.undo.state(scene))
         self._take.rewind(self.undo.mark(scene), self.simulation)
 
     def _begin_build(self, context: bpy.types.Context) -> None:
-        """Build the solver again from the clay as Blender shows it."""
+        """Start rebuilding the solver from the clay as displayed."""
         clay_state = self._solver.prepare(context, self.tools, shown=self.clay.positions)
-        self.clay.take_up(context.scene, self.simulation)
+        self.clay.switch_to(context.scene, self.simulation)
         self._take.rebuilt(self.simulation, self.tools.meshes())
         self._solver.begin(clay_state=clay_state)
 
     def _scene(self, context: bpy.types.Context) -> bpy.types.Scene:
         scene = context.scene
         if scene is None or scene.session_uid != self._scene_uid:
-            raise SculptError("The window shows another scene now. What was sculpted is kept.")
+            raise SculptError("The window now shows another scene. The sculpted clay is kept.")
         return scene
 
     # The end ------------------------------------------------------------------------------------
 
     def finish(self, context: bpy.types.Context | None) -> None:
-        """End the session and keep the clay as shown; a second call does nothing.
+        """End the session and keep the clay as displayed; a second call does nothing.
 
         Args:
             context: None if Blender's data no longer belongs to this session, as while a file
@@ -324,28 +326,28 @@ class SculptSession:
         scene = None
         try:
             with self._closing:
-                # Kernels that are still being compiled are not waited for: nothing was done yet.
+                # Before the first step there is nothing to keep, so do not wait for compilation.
                 if self.pace.started:
                     self._solver.worker.wait()
-                # If what was sculpted is gone, all that was kept before stays.
+                # If scene or clay are gone, everything kept so far remains.
                 with suppress(SculptError, SimulationError, ReferenceError, KeyError):
                     if context is not None:
                         found = self._scene(context)
                         self._keep_last(found)
                         scene = found
         finally:
-            # Whatever went wrong, the take's thread ends, and the take is on the disk.
+            # Whatever fails, the take's thread ends and the take is on disk.
             recorded = self._take.finish(scene)
         if recorded:
             push_undo("Record Take")
 
     def _keep_last(self, scene: bpy.types.Scene) -> None:
-        """Keep the clay as the last step left it."""
+        """Keep the clay as it is after the last step."""
         # The surface is only a stand-in for the clay.
         self.clay.close_surface()
         self.wheels.end(scene)
         stepped = None
-        # `tick` reports what went wrong in the last step.
+        # `tick` is responsible for reporting errors of a step.
         with suppress(Exception):
             stepped = self._solver.worker.take()
         if stepped is not None and np.isfinite(stepped.positions).all():

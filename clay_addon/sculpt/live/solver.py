@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The solver of a live session: built from what Blender shows, stepped on its own thread."""
+"""The solver of a live session: built from the displayed scene, stepped on its own thread."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from ....solver import MeshCollider, Scene
 
 _SAME_PLACE = 0.01
-"""Clay that moved less than this since the last step keeps its solver state, in spacings."""
+"""Clay that moved less than this since the last step keeps its solver state [spacings]."""
 
 
 class LiveSolver:
-    """Owns the simulation of a session, the thread it runs on and the colliders of the tools.
+    """Owns the simulation of a session, its thread, and the colliders of the tools.
 
-    `prepare` and `begin` build a solver, `begin_step` advances it; `take` gets the result of
-    either. Only one of these is under way at a time, and only then does the thread use the solver.
+    `prepare` and `begin` build a solver, `begin_step` advances it; ``worker.take`` returns the
+    result of either. Only one of them runs at a time, and only then does the thread use the solver.
 
     Args:
         device: ``cpu`` or ``cuda:0``.
@@ -38,7 +38,7 @@ class LiveSolver:
     def __init__(self, device: str) -> None:
         self.worker = SolverWorker()
         self.simulation: Simulation
-        """What is simulated now; replaced by each `prepare`."""
+        """The current simulation; replaced by each `prepare`."""
         self._device = device
         self._structure: Hashable = None
         self._tool_key: Hashable = None
@@ -46,7 +46,7 @@ class LiveSolver:
         self._prepared: Scene
 
     def is_outdated(self, scene: bpy.types.Scene, tools: Tools) -> bool:
-        """Whether the scene or the tool has changed so that the solver must be built again."""
+        """Whether the scene or the tool has changed such that the solver must be rebuilt."""
         return structure(scene) != self._structure or tools.mesh_key != self._tool_key
 
     def prepare(
@@ -56,16 +56,16 @@ class LiveSolver:
         *,
         shown: NDArray[np.float32] | None = None,
     ) -> dict[str, NDArray] | None:
-        """Read the clay as Blender shows it, and everything it collides with; `begin` comes next.
+        """Read the clay as displayed, and everything it collides with; call `begin` next.
 
         Args:
-            context: Its scene is the session's.
-            tools: What the mouse holds.
-            shown: Positions of all particles after the last step, world [Blender units], shape
-                [N, 3], if their solver state should be kept where possible.
+            context: Context with the session's scene.
+            tools: The mouse's tools.
+            shown: World positions of all particles after the last step [Blender units], shape
+                [N, 3], if their solver state should be kept when possible.
 
         Returns:
-            The state of the clay in the solver so far; None where it does not fit.
+            The solver state of the clay so far; None if it does not apply to the clay now.
 
         Raises:
             SimulationError: The scene cannot be simulated.
@@ -82,7 +82,7 @@ class LiveSolver:
             self._colliders.append(collider)
         if before is None or shown is None:
             return None
-        return self._carried(before, shown)
+        return self._reusable_clay_state(before, shown)
 
     def begin(
         self,
@@ -90,11 +90,11 @@ class LiveSolver:
         state: dict[str, NDArray] | None = None,
         clay_state: dict[str, NDArray] | None = None,
     ) -> None:
-        """Begin to build the solver that was prepared.
+        """Start building the prepared solver.
 
         Args:
-            state: A state of the whole solver to restore, where that still fits.
-            clay_state: Otherwise, a state of which only the clay is restored.
+            state: A complete solver state to restore, if it still fits.
+            clay_state: Otherwise, a state from which only the clay is restored.
         """
         simulation, prepared, device = self.simulation, self._prepared, self._device
 
@@ -109,7 +109,7 @@ class LiveSolver:
                 try:
                     simulation.restore(state)
                 except (KeyError, ValueError):
-                    # Colliders came or went since.
+                    # Colliders have been added or removed since.
                     with suppress(ValueError):
                         simulation.solver.restore_clay(state)
             elif clay_state is not None:
@@ -120,34 +120,36 @@ class LiveSolver:
         self.worker.begin(build)
 
     def place_tools(self, poses: Sequence[tuple[NDArray[np.float64], bool]]) -> None:
-        """Tell the solver where the tools are at the end of the next step.
+        """Set the poses of the tools at the end of the next step.
 
         Args:
-            poses: World from each tool's coordinates [m], shape [4, 4], and whether the clay feels
-                it.
+            poses: For each tool, the matrix from its coordinates to the world [m], shape [4, 4],
+                and whether it acts on the clay.
         """
         for collider, (pose, enabled) in zip(self._colliders, poses, strict=True):
             collider.set_pose(pose)
             collider.set_enabled(enabled)
 
     def begin_step(self, duration: float) -> None:
-        """Begin to simulate some time [s], after hands, colliders and tools were placed."""
+        """Start a step of some duration [s], after hands, colliders and tools were placed."""
         solver = self.simulation.solver
         assert solver is not None
         hands = [hand.handle for hand in self.simulation.hands if hand.handle is not None]
         self.worker.begin(partial(step, solver, duration, hands, self._colliders))
 
     def snapshot(self) -> dict[str, NDArray] | None:
-        """The solver's state; None while it is at work or not yet built."""
+        """The solver's state; None while it is busy or not built yet."""
         if self.simulation.solver is None or self.worker.busy:
             return None
         return self.simulation.snapshot()
 
-    def _carried(self, before: Simulation, shown: NDArray[np.float32]) -> dict[str, NDArray] | None:
-        """The solver's state where the clay is the same and only what works it has changed.
+    def _reusable_clay_state(
+        self, before: Simulation, shown: NDArray[np.float32]
+    ) -> dict[str, NDArray] | None:
+        """The solver's state if the clay is unchanged and only tools or colliders have changed.
 
-        This keeps cuts open and clay tense when another tool is taken: a solver that is built from
-        points alone bonds whatever lies close together.
+        This preserves cuts and stress when the tool changes: a solver that is built from points
+        alone bonds everything that is close together.
         """
         if before.solver is None or self.worker.busy:
             return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the solver of a live session depends on: when it changes, the solver is built again."""
+"""What the solver of a live session depends on: when it changes, the solver is rebuilt."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _CLAY_VALUES = (*property_names(), "spacing")
 
 
 def structure(scene: bpy.types.Scene) -> Hashable:
-    """A key that differs between scenes that need different solvers; cheap enough for each tick.
+    """A key that changes when a scene needs a new solver; cheap enough for every tick.
 
-    It covers objects that were made, deleted, renamed, hidden or restored by Undo; clay that was
-    moved or has other points; materials; and the settings of the solver.
+    It changes when objects are created, deleted, renamed, hidden or restored by Undo, when clay is
+    moved or gets other points, and with materials, collider properties, gravity and settings.
     """
     parts: list[Hashable] = []
     for item in scene.objects:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of clay during a live session: a mesh object that stands in for the clay.
+"""The surface of clay during a live session: a mesh object displayed in place of the clay.
 
-It is never saved, and is removed when a file is loaded or something is undone; the clay then shows
-as before.
+This stand-in is never saved, and is removed when a file is loaded or something is undone; the clay
+is then displayed as before.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from ...playback.poses import pose_modifier
 
 OBJECT_NAME = "Live clay"
 MAX_SECONDS = 0.2
-"""A surface that takes longer than this does not keep pace with hands [s]."""
+"""A surface that takes longer than this is too slow to follow hands [s]."""
 _MARK = "tactile_clay_live_surface"
-"""Custom property of the object that stands in for the clay."""
+"""Custom property of the stand-in."""
 _BEFORE = "tactile_clay_before_live"
-"""Custom property of clay that is replaced by a surface: how it was shown before."""
+"""Custom property of clay replaced by a stand-in: how it was displayed before."""
 _POINTS = object()
-"""What is shown instead of a surface."""
+"""Value of `_shown` while points are displayed instead of a surface."""
 
 _open: weakref.WeakSet[LiveSurface] = weakref.WeakSet()
 
 
 class LiveSurface:
-    """Shows the clay of a live session as one smooth, colored surface. For the main thread.
+    """Displays the clay of a live session as one smooth, colored surface. For the main thread.
 
         live = LiveSurface(context, clay_objects(context.scene))
         live.offer([(positions, colors)])  # each tick
         live.show()                        # each tick
         live.close()
 
-    The clay objects are hidden from the viewport, not from evaluation, and their own surface, which
-    takes far longer, is switched off there; renders show them as usual. If surfaces do not keep
-    pace, points are shown while the clay moves, and the surface once it is still.
+    The clay objects are hidden in the viewport but still evaluated, without their own surface,
+    which takes far longer; renders show them as usual. If surfaces cannot keep pace, points are
+    shown while the clay moves, and the surface once it is still.
 
     Args:
-        context: Its scene is where the surface is shown.
-        clay_objects: Clay of one spacing. The first one's material is the surface's.
+        context: Context with the scene.
+        clay_objects: Clay of one spacing. The surface gets the material of the first one.
 
     Raises:
         ValueError: There is no clay.
@@ -67,7 +67,7 @@ class LiveSurface:
         self.spacing = clay_objects[0].tactile_clay.spacing
         quick = QuickSurface(self.spacing)
         load_kernels()
-        # Undo makes new objects of the old ones, with the same identifiers.
+        # Undo replaces objects with new ones that have the same identifiers.
         self._scene_id = context.scene.session_uid
         self._clay_ids = [item.session_uid for item in clay_objects]
         sweep(context.scene)
@@ -78,21 +78,21 @@ class LiveSurface:
 
     @property
     def problem(self) -> str:
-        """Why there is no surface now; empty if there is one or none was asked for."""
+        """Why there is no surface; empty if there is one or none was requested."""
         return self._worker.finished().problem if self._worker else ""
 
     @property
     def seconds(self) -> float:
-        """About how long a surface takes on its thread [s]; 0 before the first."""
+        """Approximate time that a surface takes on its thread [s]; 0 before the first."""
         return self._worker.seconds if self._worker else 0.0
 
     @property
     def keeps_pace(self) -> bool:
-        """Whether surfaces are made fast enough to show the clay while it moves."""
+        """Whether surfaces are fast enough to show the clay while it moves."""
         return self.seconds + self._writing_seconds <= MAX_SECONDS
 
     def offer(self, parts: Sequence[Part]) -> None:
-        """Hand over where the clay is now; never waits.
+        """Request a surface of the clay as it is now; never waits.
 
         Args:
             parts: World positions [Blender units], shape [N, 3], and linear RGBA, shape [N, 4], of
@@ -102,7 +102,7 @@ class LiveSurface:
             self._worker.offer(parts)
 
     def show(self) -> bool:
-        """Show the newest surface that is finished; whether that changed anything."""
+        """Show the latest finished surface; returns whether the display has changed."""
         if self._worker is None or self._scene() is None:
             return False
         finished = self._worker.finished()
@@ -135,7 +135,7 @@ class LiveSurface:
         self._shown = None
 
     def close(self) -> None:
-        """End the thread, and show the clay as before. A second call does nothing."""
+        """End the thread, and display the clay as before. A second call does nothing."""
         worker, self._worker = self._worker, None
         if worker is None:
             return
@@ -144,7 +144,7 @@ class LiveSurface:
         self.leave()
 
     def _show_points(self) -> bool:
-        """Show the clay's points instead of a surface; whether that changed anything."""
+        """Show the clay's points instead of a surface; returns whether the display has changed."""
         changed = self._shown is not _POINTS
         if changed:
             self._switch(to_surface=False)
@@ -156,7 +156,7 @@ class LiveSurface:
         for item in _marked(scene):
             _hide(item, scene, not to_surface)
         for clay in self._clay():
-            _stand_for(clay, scene)
+            _remember_display(clay, scene)
             _hide(clay, scene, to_surface)
 
     def _scene(self) -> bpy.types.Scene | None:
@@ -169,7 +169,7 @@ class LiveSurface:
         return [own[identifier] for identifier in self._clay_ids if identifier in own]
 
     def _object(self) -> bpy.types.Object:
-        """The object that stands in for the clay; made if there is none."""
+        """The stand-in; created if there is none."""
         scene = self._scene()
         assert scene is not None
         for item in _marked(scene):
@@ -186,7 +186,7 @@ class LiveSurface:
 
 
 def sweep(scene: bpy.types.Scene | None) -> None:
-    """Remove the stand-in for the clay of a scene, and show the clay as before."""
+    """Remove the stand-in from a scene, and display the clay as before."""
     if scene is None:
         return
     for item in _marked(scene):
@@ -211,8 +211,8 @@ def sweep(scene: bpy.types.Scene | None) -> None:
                     clay.select_set(name in before["selected"], view_layer=layer)
 
 
-def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
-    """Note how clay is shown, once, and switch off its own surface in the viewport."""
+def _remember_display(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
+    """Record once how clay is displayed, and disable its own surface in the viewport."""
     if _BEFORE in clay or scene is None:
         return
     modifier = clay.modifiers.get(MODIFIER_NAME)
@@ -231,7 +231,7 @@ def _stand_for(clay: bpy.types.Object, scene: bpy.types.Scene | None) -> None:
 
 
 def _hide(item: bpy.types.Object, scene: bpy.types.Scene | None, hidden: bool) -> None:
-    """Hide or show an object in all view layers of the viewport; it is evaluated either way."""
+    """Hide or show an object in the viewport, in all view layers; it is evaluated either way."""
     for layer in scene.view_layers if scene else ():
         if item.name in layer.objects and item.hide_get(view_layer=layer) != hidden:
             item.hide_set(hidden, view_layer=layer)
@@ -242,7 +242,7 @@ def _marked(scene: bpy.types.Scene | None) -> list[bpy.types.Object]:
 
 
 def _reload() -> None:
-    """Remove stand-ins that a file or an undo step holds, and show live surfaces again."""
+    """Remove stand-ins restored from a file or an undo step, and show live surfaces again."""
     for live in list(_open):
         if live._scene() is None:
             live.close()
@@ -255,7 +255,7 @@ def _reload() -> None:
 
 
 def _leave_file() -> None:
-    # The session's scene went with its file, even if the new one has one of that name.
+    # The session's scene is gone, even if the new file has a scene of the same name.
     for live in list(_open):
         live.close()
     _reload()
@@ -263,12 +263,12 @@ def _leave_file() -> None:
 
 @persistent
 def _on_reload(*_: object) -> None:
-    later.ask(_reload)
+    later.schedule(_reload)
 
 
 @persistent
 def _on_load(*_: object) -> None:
-    later.ask(_leave_file)
+    later.schedule(_leave_file)
 
 
 @persistent
@@ -294,12 +294,12 @@ _HANDLERS = (
 
 
 def register() -> None:
-    """Add the handlers, each once."""
+    """Add the handlers."""
     add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
-    """Close what is live, and remove the handlers."""
+    """Close all live surfaces, and remove the handlers."""
     for live in list(_open):
         live.close()
     remove_handlers(_HANDLERS)

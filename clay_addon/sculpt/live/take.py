@@ -19,9 +19,9 @@ from ...take.recorder import Mark, TakeError, TakeRecorder
 
 
 class SessionTake:
-    """Records a session from the moment its solver is first built, if the scene asks for it.
+    """Records a session from the first build of its solver, if the scene's *Record Take* is on.
 
-    If the take cannot continue, it ends; the session continues.
+    If the take cannot continue, it ends, but the session continues.
 
     Args:
         wanted: Whether to record.
@@ -33,24 +33,24 @@ class SessionTake:
         self._ended: TakeRecorder | None = None
         self._start = Mark(0.0, 0)
         self.messages: list[str] = []
-        """What the user should know about the take, in sentences."""
+        """Messages about the take for the user, as sentences."""
 
     @property
     def mark(self) -> Mark | None:
-        """This moment of the take; None if none is being recorded."""
+        """The current moment of the take; None if none is being recorded."""
         return self._recorder.mark() if self._recorder is not None else None
 
     def begin(
         self, scene: bpy.types.Scene, simulation: Simulation, meshes: Sequence[ToolMesh]
     ) -> None:
-        """Begin to record if that is wanted and has not begun."""
+        """Start recording if wanted and not started yet."""
         if not self._wanted:
             return
         self._wanted = False
         try:
             self._recorder = TakeRecorder.begin(scene, simulation)
         except TakeError as error:
-            self.messages.append(f"No take is recorded: {error}")
+            self.messages.append(f"No take is being recorded: {error}")
             return
         self._recorder.use_tools(meshes)
         self._start = self._recorder.mark()
@@ -58,7 +58,7 @@ class SessionTake:
     def look(
         self, depsgraph: bpy.types.Depsgraph, poses: Sequence[tuple[NDArray[np.float64], bool]]
     ) -> None:
-        """Note what the solver was told for its next step."""
+        """Record the poses that the solver gets for its next step."""
         if self._recorder is not None:
             self._recorder.look(depsgraph, poses)
 
@@ -75,13 +75,13 @@ class SessionTake:
                 self._recorder.edit(parameters.pop("kind"), parameters)
 
     def rebuilt(self, simulation: Simulation, meshes: Sequence[ToolMesh]) -> None:
-        """Continue with a solver that was built again."""
+        """Continue with a rebuilt solver."""
         if self._recorder is not None:
             self._recorder.use_tools(meshes)
             self._try(partial(self._recorder.rebuilt, simulation))
 
     def rewind(self, mark: Mark | None, simulation: Simulation) -> None:
-        """Return to a moment, or to the beginning if the moment is not known."""
+        """Return to a moment, or to the start if it is unknown."""
         if self._recorder is not None:
             self._try(partial(self._recorder.rewind, mark or self._start, simulation))
 
@@ -89,7 +89,7 @@ class SessionTake:
         """End the take, and put it on the timeline.
 
         Args:
-            scene: None if it is gone; the take is then on the disk only.
+            scene: The session's scene; None if it is gone, and the take remains on disk only.
 
         Returns:
             Whether it is on the timeline.

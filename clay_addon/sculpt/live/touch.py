@@ -13,17 +13,17 @@ from ...touch.feeling import ghost_weights
 
 
 class LiveTouch:
-    """Sends the contacts of each step to the array, if the scene has one and hands."""
+    """Sends the contacts of each step to the array, if the scene has an array and hands."""
 
     def __init__(self) -> None:
         self._simulation: Simulation | None = None
         self._weights: list[NDArray | None] = []
         self._since: float | None = None
         self.problem = ""
-        """What went wrong last, as a sentence; empty if nothing did."""
+        """The latest problem, as a sentence; empty if there was none."""
 
     def after(self, simulation: Simulation, stepped: Stepped) -> None:
-        """Render a step as touch."""
+        """Render the contacts of a step as touch."""
         if not stepped.contacts or simulation.scene.tactile_touch.array is None:
             return
         if simulation is not self._simulation:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """States of the solver for Blender's undo steps.
 
-Blender keeps the points of each undo step, but not how the clay is stretched and pressed. So the
-points carry the number of their solver state. If that state is no longer kept, the clay starts at
-rest from the same points.
+Blender keeps the points of each undo step, but not the strain and stress of the clay. So the point
+clouds store the number of their solver state. If that state is no longer available, the clay
+starts from the same points, unstressed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...take.recorder import Mark
 
 _MARK = "clay_state"
 _MAX_BYTES = 256_000_000
-"""States are kept up to this size; the oldest is dropped first."""
+"""Maximum total size of the states; the oldest is dropped first."""
 
 
 class UndoStates:
@@ -35,12 +35,12 @@ class UndoStates:
         state: dict[str, NDArray] | None,
         mark: Mark | None = None,
     ) -> None:
-        """Mark the scene's clay as being in a state, right before the undo step is made.
+        """Store a state and mark the scene's clay with its number, just before an undo step.
 
         Args:
-            scene: The session's.
-            state: The solver's; None if it cannot be read now.
-            mark: The moment in the take that is being recorded.
+            scene: The session's scene.
+            state: The solver's state; None if it cannot be read now.
+            mark: The current moment in the take that is being recorded, if any.
         """
         self._last += 1
         if mark is not None:
@@ -54,11 +54,11 @@ class UndoStates:
             self._states.popitem(last=False)
 
     def state(self, scene: bpy.types.Scene) -> dict[str, NDArray] | None:
-        """The state of the clay as Blender holds it now, if it is known."""
+        """The solver state that belongs to the clay in Blender now; None if unknown."""
         return self._states.get(_number(scene))
 
     def mark(self, scene: bpy.types.Scene) -> Mark | None:
-        """The moment in the take to which Blender's clay belongs now, if it is known."""
+        """The moment in the take that belongs to the clay in Blender now; None if unknown."""
         return self._marks.get(_number(scene))
 
     def _bytes(self) -> int:
@@ -66,12 +66,12 @@ class UndoStates:
 
 
 def _number(scene: bpy.types.Scene) -> int:
-    """Number of the state of all clay; 0, which no state has, if the objects disagree."""
+    """Number of the state of all clay; 0, which is never used, if the objects disagree."""
     numbers = {item.data.get(_MARK, 0) for item in clay_objects(scene)}
     return int(numbers.pop()) if len(numbers) == 1 else 0
 
 
 def push_undo(message: str) -> None:
-    """Make an undo step of Blender's data, if there is a window and so an undo stack."""
+    """Push an undo step, if there is a window and thus an undo stack."""
     if not bpy.app.background and bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=message)

@@ -371,7 +371,7 @@ def test_folder_beside_nothing_known_is_refused(studio: Any, tmp_path: Path) -> 
     """Ask for // where a folder is relative to wherever Blender was started."""
     studio.falling_block(tmp_path)
     studio.scene.tactile_clay.cache_directory = "cache"
-    with pytest.raises(BakeError, match=r"'cache' is beside nothing known\. Begin it with //"):
+    with pytest.raises(BakeError, match=r"'cache' is relative to nothing\. Begin it with //"):
         bake(bpy.context)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One thing at a time holds the clay."""
+"""Only one activity at a time holds the clay."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from tactile_clay.clay_addon.base.activity import ActivityKind, BusyError, ClayA
 
 @dataclass(frozen=True)
 class Step:
-    """A step of a work."""
+    """Progress after one step."""
 
     frame: int
     done: int = 0
@@ -20,7 +20,7 @@ class Step:
 
 
 def work(log: list[str], *, fails: bool = False) -> Generator[Step, str | None, str]:
-    """Three steps, that note what they are sent and how they end."""
+    """Three steps that log what they are sent and whether they are closed."""
     try:
         for frame in range(3):
             log.append(str((yield Step(frame))))
@@ -34,7 +34,7 @@ def work(log: list[str], *, fails: bool = False) -> Generator[Step, str | None, 
 
 @pytest.mark.parametrize("kind", ActivityKind)
 def test_second_activity_is_refused_with_how_to_end_the_first(kind: ActivityKind) -> None:
-    """Say what holds the clay, and let go only when that ends."""
+    """Say what holds the clay, and release it only when that ends."""
     activity = ClayActivity()
     with activity.held(kind):
         for other in ActivityKind:
@@ -44,11 +44,11 @@ def test_second_activity_is_refused_with_how_to_end_the_first(kind: ActivityKind
     activity.check_free()
 
 
-def test_progress_is_known_while_steps_go_on() -> None:
-    """Keep the newest step, pass on what is sent, and give the result."""
+def test_progress_is_known_while_steps_run() -> None:
+    """Keep the latest step, forward sent values, and return the result."""
     activity = ClayActivity()
     log: list[str] = []
-    steps = activity.through(ActivityKind.BAKE, work(log))
+    steps = activity.run_steps(ActivityKind.BAKE, work(log))
     assert next(steps) == activity.progress == Step(0)
     assert steps.send("a") == activity.progress == Step(1)
     assert steps.send("b") == Step(2)
@@ -60,11 +60,11 @@ def test_progress_is_known_while_steps_go_on() -> None:
 
 
 @pytest.mark.parametrize("how", ["closed", "failed", "dropped"])
-def test_clay_is_free_however_a_work_ends(how: str) -> None:
-    """Let go when steps are closed, fail, or are dropped."""
+def test_clay_is_free_however_an_activity_ends(how: str) -> None:
+    """Release it when steps are closed, fail, or are garbage-collected."""
     activity = ClayActivity()
     log: list[str] = []
-    steps = activity.through(ActivityKind.DELIVERY, work(log, fails=how == "failed"))
+    steps = activity.run_steps(ActivityKind.DELIVERY, work(log, fails=how == "failed"))
     next(steps)
     assert activity.kind is ActivityKind.DELIVERY
     if how == "closed":
@@ -78,10 +78,10 @@ def test_clay_is_free_however_a_work_ends(how: str) -> None:
     assert log == (["None"] if how == "failed" else ["closed"])
 
 
-def test_refused_work_is_closed_and_takes_nothing_away() -> None:
-    """Leave the first in possession where a second is refused."""
+def test_refused_activity_leaves_the_first_one_in_place() -> None:
+    """Keep the clay with the first activity when a second is refused."""
     activity = ClayActivity()
     activity.begin(ActivityKind.SCULPTING)
     with pytest.raises(BusyError):
-        next(activity.through(ActivityKind.BAKE, work([])))
+        next(activity.run_steps(ActivityKind.BAKE, work([])))
     assert activity.kind is ActivityKind.SCULPTING

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Handlers put off what Blender does not allow inside them."""
+"""Handlers defer what Blender does not allow inside them."""
 
 import ast
 from pathlib import Path
@@ -12,12 +12,12 @@ from tactile_clay.clay_addon.base import later as module
 from tactile_clay.clay_addon.base.later import Later
 
 DEFERRED = ("undo_post", "redo_post", "undo_pre", "redo_pre", "load_post", "depsgraph_update_post")
-"""Handlers inside which nothing may be made, removed, hidden or shown."""
+"""Handlers that must not create, remove, hide or show anything."""
 
 
 @pytest.fixture
 def timers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Functions that wait for Blender's timer, in a Blender with an interface."""
+    """Functions registered as timers, in a Blender with an interface."""
     waiting: list[Any] = []
     fake = SimpleNamespace(
         is_registered=lambda function: function in waiting,
@@ -31,12 +31,12 @@ def timers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def test_work_waits_for_the_timer_and_is_done_once(timers: list[Any]) -> None:
-    """Do nothing at once, and each thing once in the order in which it was first asked for."""
+    """Do nothing immediately, then each thing once, in the order first scheduled."""
     queue = Later()
     done: list[str] = []
     first, second = (lambda: done.append("first")), (lambda: done.append("second"))
     for work in (first, second, first):
-        queue.ask(work)
+        queue.schedule(work)
     assert done == []
     assert len(timers) == 1
     queue.run()
@@ -44,40 +44,40 @@ def test_work_waits_for_the_timer_and_is_done_once(timers: list[Any]) -> None:
     assert done == ["first", "second"]
 
 
-def test_what_fails_is_logged_and_stops_nothing(
+def test_failure_is_logged_and_does_not_stop_the_rest(
     timers: list[Any], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Go on with the rest, and leave a traceback in the log."""
+    """Continue with the rest, and leave a traceback in the log."""
     queue = Later()
     done: list[str] = []
-    queue.ask(lambda: 1 / 0)
-    queue.ask(lambda: done.append("rest"))
+    queue.schedule(lambda: 1 / 0)
+    queue.schedule(lambda: done.append("rest"))
     queue.run()
     assert done == ["rest"]
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_work_that_asks_for_more_is_followed(timers: list[Any]) -> None:
-    """Do what work itself asks for in the same turn."""
+def test_work_may_schedule_more_work(timers: list[Any]) -> None:
+    """Do work scheduled by other work in the same run."""
     queue = Later()
     done: list[str] = []
     more = lambda: done.append("more")  # noqa: E731
-    queue.ask(lambda: queue.ask(more))
+    queue.schedule(lambda: queue.schedule(more))
     queue.run()
     assert done == ["more"]
 
 
 def test_without_an_interface_work_is_done_at_once() -> None:
-    """Need no timer in the background."""
+    """Use no timer in the background."""
     done: list[str] = []
-    Later().ask(lambda: done.append("now"))
+    Later().schedule(lambda: done.append("now"))
     assert done == ["now"]
 
 
-def test_handlers_of_undo_and_load_only_take_notes(repository: Path) -> None:
-    """Let what Blender calls during undo, redo, load and updates touch no data itself.
+def test_undo_and_load_handlers_change_no_data(repository: Path) -> None:
+    """Change no Blender data in handlers for undo, redo, load and depsgraph updates.
 
-    A handler may read, clear notes of its own and ask for more later.
+    A handler may read, clear its own state and schedule work.
     """
     forbidden = {
         "remove",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The log holds what all parts report, and a person can save it."""
+"""The log holds the messages of all parts, and users can save it."""
 
 import logging
 from pathlib import Path
@@ -12,8 +12,8 @@ from tactile_clay.clay_addon.base import log
 from tactile_clay.clay_addon.base.preferences import ADDON, ADDON_VERSION
 
 
-def test_saved_log_tells_versions_and_messages(studio: Any, tmp_path: Path) -> None:
-    """Write the versions of everything, then messages of any module with their tracebacks."""
+def test_saved_log_contains_versions_and_messages(studio: Any, tmp_path: Path) -> None:
+    """Write the versions of everything, then the messages of any module with tracebacks."""
     try:
         raise ValueError("the reason why")
     except ValueError:
@@ -29,12 +29,12 @@ def test_saved_log_tells_versions_and_messages(studio: Any, tmp_path: Path) -> N
 
 
 def test_log_that_cannot_be_saved_says_why(studio: Any, tmp_path: Path) -> None:
-    """Report a folder that is not there instead of failing."""
+    """Report a missing folder instead of failing."""
     with pytest.raises(RuntimeError, match="could not be saved"):
         bpy.ops.clay.log_save(filepath=str(tmp_path / "missing" / "log.txt"))
 
 
-def test_log_goes_on_in_a_second_file_and_keeps_the_first(
+def test_log_continues_in_a_second_file_and_keeps_the_first(
     studio: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Keep at least the newest messages when there are very many."""
@@ -51,7 +51,7 @@ def test_log_goes_on_in_a_second_file_and_keeps_the_first(
 def test_unwritable_folder_costs_only_the_log(
     studio: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Go on without a log where no file can be made, and say so."""
+    """Carry on without a log if no file can be created, and say so."""
     log.log_file.close()
 
     def refuse(*_: Any, **__: Any) -> None:
@@ -63,7 +63,7 @@ def test_unwritable_folder_costs_only_the_log(
 
 
 def test_nothing_is_written_once_the_addon_is_gone(studio: Any) -> None:
-    """Stop with the add-on: its handler leaves the logger."""
+    """Remove the handler from the logger along with the add-on."""
     before = len(logging.getLogger(ADDON).handlers)
     log.log_file.close()
     assert len(logging.getLogger(ADDON).handlers) == before - 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Who listens is told, once."""
+"""Signals call each listener once."""
 
 from typing import Any
 
@@ -12,26 +12,26 @@ from tactile_clay.clay_addon.base.signals import (
 )
 
 
-def test_listeners_are_called_once_in_order_until_they_leave() -> None:
+def test_listeners_are_called_once_in_order_until_disconnected() -> None:
     """Connect twice, disconnect twice, and be called while connected."""
-    signal, told = SceneSignal(), []
-    first, second = (lambda scene, name=name: told.append(name) for name in ("first", "second"))
+    signal, called = SceneSignal(), []
+    first, second = (lambda scene, name=name: called.append(name) for name in ("first", "second"))
     for listener in (first, second, first):
         signal.connect(listener)
     signal.send(bpy.context.scene)
     signal.disconnect(first)
     signal.disconnect(first)
     signal.send(bpy.context.scene)
-    assert told == ["first", "second", "second"]
+    assert called == ["first", "second", "second"]
 
 
-def test_properties_tell_of_their_changes(studio: Any) -> None:
-    """Send a signal when shapes are held, and when a wheel's speed or phase is set."""
-    told: list[str] = []
+def test_properties_signal_their_changes(studio: Any) -> None:
+    """Send a signal when the held frames, a wheel's speed or its phase are set."""
+    called: list[str] = []
     clay = studio.clay()
     listeners = {
-        held_frames_changed: lambda scene: told.append(f"held {scene.name}"),
-        wheels_changed: lambda scene: told.append(f"wheels {scene.name}"),
+        held_frames_changed: lambda scene: called.append(f"held {scene.name}"),
+        wheels_changed: lambda scene: called.append(f"wheels {scene.name}"),
     }
     for signal, listener in listeners.items():
         signal.connect(listener)
@@ -43,4 +43,4 @@ def test_properties_tell_of_their_changes(studio: Any) -> None:
         for signal, listener in listeners.items():
             signal.disconnect(listener)
     name = studio.scene.name
-    assert told == [f"held {name}", f"wheels {name}", f"wheels {name}"]
+    assert called == [f"held {name}", f"wheels {name}", f"wheels {name}"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender units and meters."""
+"""Conversion between Blender units and meters."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,17 +18,17 @@ from tactile_clay.clay_addon.base.units import (
 
 SCALES = (0.001, 0.01, 1.0, 100.0)
 READERS = {"base/units.py", "core/brush/view_region.py"}
-"""The core must not import the add-on's rooms, so its view reads the scale from its context."""
+"""`core` must not import `base`, so its view region reads the scale from the context."""
 
 
 def scene(scale: float) -> Any:
-    """Return the part of a scene that units depend on."""
+    """A stand-in for a scene, with only its unit settings."""
     return SimpleNamespace(unit_settings=SimpleNamespace(scale_length=scale))
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_lengths_turn_both_ways(scale: float) -> None:
-    """Give a length in meters, and the same length back."""
+def test_lengths_convert_both_ways(scale: float) -> None:
+    """Convert a length to meters and back."""
     assert meters_per_unit(scene(scale)) == scale
     assert to_meters(scene(scale), 3.0) == pytest.approx(3.0 * scale)
     assert from_meters(scene(scale), to_meters(scene(scale), 3.0)) == pytest.approx(3.0)
@@ -37,7 +37,7 @@ def test_lengths_turn_both_ways(scale: float) -> None:
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_points_keep_their_precision(scale: float, kind: Any) -> None:
-    """Turn points without changing their type or the array that was given."""
+    """Convert points without changing their type or the input array."""
     points = np.arange(6, dtype=kind).reshape(2, 3)
     turned = to_meters(scene(scale), points)
     assert turned.dtype == from_meters(scene(scale), points).dtype == kind
@@ -46,8 +46,8 @@ def test_points_keep_their_precision(scale: float, kind: Any) -> None:
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_poses_turn_only_their_translation(scale: float) -> None:
-    """Leave rotation and stretch as they are, for one pose and for many."""
+def test_only_the_translation_of_poses_is_converted(scale: float) -> None:
+    """Leave rotation and scale unchanged, for one pose and for many."""
     pose = np.diag([2.0, 3.0, 4.0, 1.0])
     pose[:3, 3] = 1.0, 2.0, 3.0
     for poses in (pose, np.stack([pose, pose])):
@@ -58,8 +58,8 @@ def test_poses_turn_only_their_translation(scale: float) -> None:
     np.testing.assert_array_equal(pose[:3, 3], (1.0, 2.0, 3.0))
 
 
-def test_only_the_module_of_units_reads_the_scale(repository: Path) -> None:
-    """Let one module know how long a Blender unit is."""
+def test_only_the_units_module_reads_the_scale(repository: Path) -> None:
+    """Keep the conversion in one module."""
     folder = repository / "clay_addon"
     readers = {
         path.relative_to(folder).as_posix()

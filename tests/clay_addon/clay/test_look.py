@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The look of the clay: a smooth surface out of stock nodes, in the clay's own colors."""
+"""The look of the clay: a smooth surface from Blender's own nodes, in the clay's own colors."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def clay(points: np.ndarray, spacing: float = 0.005) -> Any:
 
 
 def shown(item: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Vertices, triangles and colors of the evaluated mesh; None where points are shown."""
-    # The geometry set owns the mesh, so it must live as long.
+    """Vertices, triangles and colors of the evaluated mesh; None if points are shown."""
+    # The geometry set owns the mesh, so it must stay alive.
     geometry = item.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
     mesh = geometry.mesh
     if mesh is None or len(mesh.vertices) == 0:
@@ -68,7 +68,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 @pytest.mark.parametrize("spacing", [0.0005, 0.005, 5.0])
 def test_surface_is_closed_smooth_and_in_place_at_any_spacing(spacing: float) -> None:
-    """A block shows as one closed mesh with flat faces where the clay ends."""
+    """Show a block as one closed mesh with flat faces where the clay ends."""
     points = block(10, 10, 10)
     item = clay(points, spacing)
     look.add_look(item)
@@ -82,8 +82,8 @@ def test_surface_is_closed_smooth_and_in_place_at_any_spacing(spacing: float) ->
     assert vertices[middle, 2].std() < 0.05
 
 
-def test_colors_are_the_particles_and_mix_only_where_they_meet() -> None:
-    """Beyond 1.2 spacings from where two colors meet there is no trace of the other one."""
+def test_colors_are_those_of_the_particles_and_mix_only_where_they_meet() -> None:
+    """Keep colors pure beyond 1.2 spacings from the border between two of them."""
     item = clay(block(8, 6, 6))
     look.add_look(item)
     mesh = shown(item)
@@ -96,7 +96,7 @@ def test_colors_are_the_particles_and_mix_only_where_they_meet() -> None:
 
 
 def test_crumbs_and_sheets_do_not_vanish() -> None:
-    """A single particle and a sheet of one layer keep about their volume."""
+    """Roughly keep the volume of a single particle and of a sheet of one layer."""
     item = clay(np.array([[-10.0, 0, 0], [0, 0, 0], [10, 0, 0]]))
     look.add_look(item)
     mesh = shown(item)
@@ -110,7 +110,7 @@ def test_crumbs_and_sheets_do_not_vanish() -> None:
 
 
 def test_switch_and_limit_choose_between_points_and_surface() -> None:
-    """The viewport shows points where the surface is off or there are too many particles."""
+    """Show points in the viewport if the surface is off or there are too many particles."""
     item = clay(block(6, 6, 6))
     modifier = look.add_look(item)
     assert shown(item) is not None
@@ -123,7 +123,7 @@ def test_switch_and_limit_choose_between_points_and_surface() -> None:
 
 
 def set_stage(folder: Path) -> None:
-    """Set the scene to render the clay from the front: linear, transparent outside."""
+    """Set up the scene to render the clay from the front: linear, transparent background."""
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
@@ -146,7 +146,7 @@ def set_stage(folder: Path) -> None:
 
 
 def picture(folder: Path) -> np.ndarray:
-    """The pixels of a picture that was rendered, shape [16, 32, 4]."""
+    """The pixels of the rendered picture, shape [16, 32, 4]."""
     image = bpy.data.images.load(str(folder / "clay.exr"))
     pixels = np.empty(32 * 16 * 4, np.float32)
     image.pixels.foreach_get(pixels)
@@ -173,7 +173,7 @@ os._exit(0)
 
 
 def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> None:
-    """Render the same picture in a fresh process that never saw the add-on."""
+    """Render the same picture in a new process that never loads the add-on."""
     item = clay(block(10, 6, 6))
     look.add_look(item)
     here = render(tmp_path)
@@ -189,7 +189,7 @@ def test_saved_file_renders_its_surface_without_the_addon(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("kind", ["surface", "points", "beyond the limit", "exact"])
 def test_cycles_shows_the_colors(kind: str, tmp_path: Path) -> None:
-    """Cycles renders surface and points in the clay's colors, and the surface beyond the limit."""
+    """Render surface and points in the clay's colors, and the surface even beyond the limit."""
     points = block(10, 6, 6)
     item = clay(points)
     modifier = look.add_look(item)
@@ -215,7 +215,7 @@ def test_cycles_shows_the_colors(kind: str, tmp_path: Path) -> None:
 
 
 def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
-    """Adding the look twice keeps one modifier, one material, one node group."""
+    """Keep one modifier, one material and one node group when the look is added twice."""
     item = clay(block(3, 3, 3))
     first = look.add_look(item)
     look.set_input(first, "Surface", False)
@@ -230,7 +230,7 @@ def test_a_second_call_adds_nothing_and_follows_the_spacing() -> None:
 
 
 def test_material_reads_the_color_attribute_and_is_shared() -> None:
-    """There is one clay material; its base color is the attribute `Color`."""
+    """Use one clay material whose base color is the attribute `Color`."""
     material = clay_material()
     assert clay_material() == material
     shader = next(n for n in material.node_tree.nodes if n.bl_idname == "ShaderNodeBsdfPrincipled")
@@ -238,14 +238,14 @@ def test_material_reads_the_color_attribute_and_is_shared() -> None:
 
 
 def test_foreign_material_of_the_same_name_is_left_alone() -> None:
-    """A user's own material called Clay is neither used nor changed."""
+    """Neither use nor change a user's own material called Clay."""
     own = bpy.data.materials.new(MATERIAL_NAME)
     assert clay_material() != own
     assert clay_material() == clay_material()
 
 
-def test_what_is_no_clay_is_refused() -> None:
-    """A mesh, a point cloud without radius and a spacing of zero are refused by name."""
+def test_objects_that_are_not_clay_are_refused() -> None:
+    """Refuse a mesh, a point cloud without radius and a spacing of zero, by name."""
     mesh = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
     with pytest.raises(ValueError, match="'Cube' is a mesh"):
         look.add_look(mesh)
@@ -260,7 +260,7 @@ def test_what_is_no_clay_is_refused() -> None:
 
 
 def test_surface_object_is_the_reconstruction() -> None:
-    """The mesh object has the vertices, colors and smooth shading of the surface."""
+    """Give the mesh object the surface's vertices and colors, and smooth shading."""
     points = block(5, 5, 5)
     surface = reconstruct(points, 1.0, colors=np.where(points[:, :1] < 0, RED, BLUE))
     item = look.surface_object(surface, "Exact")
@@ -279,7 +279,7 @@ def test_surface_object_is_the_reconstruction() -> None:
 
 
 def test_solid_views_show_the_clays_colors() -> None:
-    """Color solid views by attribute, other than those that somebody has set otherwise."""
+    """Color solid views by attribute, except those set to another color type."""
     bpy.ops.wm.read_factory_settings()
     spaces = [
         space
@@ -297,8 +297,8 @@ def test_solid_views_show_the_clays_colors() -> None:
     assert {space.shading.color_type for space in spaces[1:]} == {"VERTEX"}
 
 
-def test_grain_goes_along_with_the_clay() -> None:
-    """Keep the grain on clay that is moved, and give clay without rest positions one too."""
+def test_grain_moves_with_the_clay() -> None:
+    """Keep the grain on clay that moves, and give clay without rest positions a grain too."""
     item = clay(block(6, 6, 6))
     look.add_look(item)
 
@@ -313,7 +313,7 @@ def test_grain_goes_along_with_the_clay() -> None:
     positions = np.empty((216, 3), np.float32)
     layer = item.data.attributes["position"].data
     layer.foreach_get("vector", positions.ravel())
-    # By whole voxels, so that the mesh is the same.
+    # By whole voxels, so that the mesh stays the same.
     layer.foreach_set("vector", (positions + np.array([0.05, 0, 0], np.float32)).ravel())
     item.data.update_tag()
     moved = grain()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make Clay: what becomes of meshes, and what is refused."""
+"""Make Clay: meshes become particles, and what cannot is refused."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from tactile_clay.clay_addon.clay.meshes import ClayError
 
 
 def test_block_becomes_a_point_cloud_of_its_volume(studio: Any) -> None:
-    """Give a block volume / spacing³ particles inside it, each with radius, color and rest."""
+    """Fill a block with volume / spacing³ particles with radius, color and rest position."""
     studio.block(size=0.04, location=(0.1, 0.2, 0.3))
     assert bpy.ops.clay.make(spacing=0.005) == {"FINISHED"}
     clay = bpy.context.object
@@ -42,8 +42,8 @@ def test_sources_are_hidden_and_remembered(studio: Any) -> None:
     assert studio.scene.render.use_lock_interface
 
 
-def test_scale_modifiers_and_rotation_are_honoured(studio: Any) -> None:
-    """Fill the shape that the viewport shows, whatever makes it so."""
+def test_scale_modifiers_and_rotation_are_honored(studio: Any) -> None:
+    """Fill the shape that the viewport shows."""
     block = studio.block(size=0.02, location=(0.0, 0.0, 0.0))
     block.scale = (3.0, 1.0, 0.5)
     block.rotation_euler = (0.0, 0.0, np.pi / 2)
@@ -55,16 +55,16 @@ def test_scale_modifiers_and_rotation_are_honoured(studio: Any) -> None:
 
 
 @pytest.mark.parametrize("scale", [(-1.0, 1.0, 1.0), (-1.0, -2.0, -1.0)])
-def test_mirrored_object_is_no_hole(studio: Any, scale: tuple[float, float, float]) -> None:
-    """Fill an object of negative scale like any other."""
+def test_mirrored_object_is_filled(studio: Any, scale: tuple[float, float, float]) -> None:
+    """Fill an object with negative scale like any other."""
     block = studio.block(size=0.04)
     block.scale = scale
     clay = make_clay(bpy.context, [block], spacing=0.01)
     assert len(clay.data.points) == round(64 * abs(np.prod(scale)))
 
 
-def test_parented_object_is_where_it_is_seen(studio: Any) -> None:
-    """Take the world transform, with a parent's shear in it."""
+def test_parented_object_is_filled_where_it_is_seen(studio: Any) -> None:
+    """Use the world transform, including a parent's shear."""
     parent = bpy.data.objects.new("Parent", None)
     studio.scene.collection.objects.link(parent)
     parent.matrix_world = Matrix.Translation((1.0, 0.0, 0.0)) @ Matrix.Diagonal((2, 1, 1, 1))
@@ -78,7 +78,7 @@ def test_parented_object_is_where_it_is_seen(studio: Any) -> None:
     np.testing.assert_allclose(positions.mean(0), (1.0, 0.0, 0.0), atol=0.005)
 
 
-def test_several_pieces_make_one_clay_in_their_colors(studio: Any) -> None:
+def test_several_pieces_make_one_clay_object_with_their_colors(studio: Any) -> None:
     """Take each piece's color from its shader, its viewport color, or the object."""
     shaded, viewport, plain, bare = (
         studio.block(size=0.02, location=(0.03 * index, 0.0, 0.0)) for index in range(4)
@@ -104,7 +104,7 @@ def test_several_pieces_make_one_clay_in_their_colors(studio: Any) -> None:
 
 
 def test_overlapping_pieces_are_one_body(studio: Any) -> None:
-    """Put clay once where two pieces overlap, so that nothing explodes."""
+    """Fill the overlap of two pieces only once, so that nothing explodes."""
     first = studio.block(size=0.04, location=(0.0, 0.0, 0.0))
     second = studio.block(size=0.04, location=(0.023, 0.0, 0.0))
     clay = make_clay(bpy.context, [first, second], spacing=0.005)
@@ -115,7 +115,7 @@ def test_overlapping_pieces_are_one_body(studio: Any) -> None:
 
 
 def test_touching_pieces_keep_all_their_clay(studio: Any) -> None:
-    """Fill two blocks that share a face completely."""
+    """Completely fill two blocks that share a face."""
     first = studio.block(size=0.04, location=(0.0, 0.0, 0.0))
     second = studio.block(size=0.04, location=(0.04, 0.0, 0.0))
     clay = make_clay(bpy.context, [first, second], spacing=0.005)
@@ -123,7 +123,7 @@ def test_touching_pieces_keep_all_their_clay(studio: Any) -> None:
 
 
 def test_default_spacing_is_half_a_centimeter_at_any_unit_scale(studio: Any) -> None:
-    """Mean five millimeters in a scene modelled in millimeters too."""
+    """Use 5 mm in a scene modeled in millimeters too."""
     assert studio.scene.tactile_clay.spacing == pytest.approx(0.005)
     studio.scene.unit_settings.scale_length = 0.001
     assert studio.scene.tactile_clay.spacing == pytest.approx(5.0)
@@ -133,8 +133,8 @@ def test_default_spacing_is_half_a_centimeter_at_any_unit_scale(studio: Any) -> 
     assert studio.scene.tactile_clay.spacing == pytest.approx(4.0)
 
 
-def test_preset_fills_values_and_a_value_makes_it_custom(studio: Any) -> None:
-    """Write a preset's values into the properties, and say so when one is changed."""
+def test_preset_fills_values_and_changing_one_makes_it_custom(studio: Any) -> None:
+    """Copy a preset's values to the properties, and switch to Custom when one is changed."""
     clay = make_clay(bpy.context, [studio.block()], spacing=0.01, material_preset="wet_clay")
     properties = clay.tactile_clay
     assert (properties.density, properties.yield_stress) == (1800.0, 1000.0)
@@ -145,8 +145,8 @@ def test_preset_fills_values_and_a_value_makes_it_custom(studio: Any) -> None:
     assert properties.density == 1900.0
 
 
-def test_undo_and_redo_bring_the_clay_back(studio: Any) -> None:
-    """Take Make Clay back with Undo, with its particles unharmed by Redo."""
+def test_undo_and_redo_restore_the_clay(studio: Any) -> None:
+    """Undo Make Clay, and get the same particles back with Redo."""
     studio.block(size=0.04)
     bpy.ops.ed.undo_push(message="block")
     bpy.ops.clay.make(spacing=0.01)
@@ -168,20 +168,20 @@ def test_empty_selection_is_refused(studio: Any) -> None:
     assert "Nothing is selected" in studio.refused(bpy.ops.clay.make)
 
 
-def test_object_that_is_no_mesh_is_refused(studio: Any) -> None:
-    """Name the object and what it is."""
+def test_object_that_is_not_a_mesh_is_refused(studio: Any) -> None:
+    """Name the object and its type."""
     bpy.ops.object.light_add(type="POINT")
-    assert "'Point' is no mesh (light)" in studio.refused(bpy.ops.clay.make)
+    assert "'Point' is not a mesh (light)" in studio.refused(bpy.ops.clay.make)
 
 
 def test_clay_is_not_made_of_clay(studio: Any) -> None:
-    """Say that the selected object is clay already."""
+    """Say that the selected object is already clay."""
     studio.select(studio.clay())
-    assert "'Clay' is clay already" in studio.refused(bpy.ops.clay.make)
+    assert "'Clay' is already clay" in studio.refused(bpy.ops.clay.make)
 
 
 def test_open_mesh_is_refused_with_its_holes_counted(studio: Any) -> None:
-    """Name the object and the number of its holes, among good ones."""
+    """Name the open object among closed ones, and the number of its holes."""
     good = studio.block(location=(1.0, 0.0, 0.0))
     bpy.ops.mesh.primitive_cylinder_add(
         vertices=12, radius=0.02, depth=0.04, end_fill_type="NOTHING"
@@ -209,7 +209,7 @@ def test_vertices_that_are_not_numbers_are_refused(studio: Any) -> None:
 
 
 def test_mesh_too_small_for_the_spacing_is_refused(studio: Any) -> None:
-    """Suggest a spacing that works, and that does work."""
+    """Suggest a spacing, and accept that spacing."""
     studio.block(size=0.008)
     message = studio.refused(bpy.ops.clay.make, spacing=0.01)
     assert "'Cube' is too small for a spacing of 10 mm" in message
@@ -218,7 +218,7 @@ def test_mesh_too_small_for_the_spacing_is_refused(studio: Any) -> None:
 
 
 def test_too_many_particles_are_refused(studio: Any) -> None:
-    """Say how many there would be, and the spacing that would do."""
+    """Say how many there would be, and suggest a spacing."""
     studio.block(size=2.0)
     message = studio.refused(bpy.ops.clay.make, spacing=0.005)
     assert "64,000,000 particles" in message
@@ -226,43 +226,43 @@ def test_too_many_particles_are_refused(studio: Any) -> None:
 
 
 def test_object_in_edit_mode_is_refused(studio: Any) -> None:
-    """Ask to leave Edit Mode, where the mesh is not what it was."""
+    """Ask the user to leave Edit Mode, where the object's mesh is out of date."""
     studio.block()
     bpy.ops.object.mode_set(mode="EDIT")
     assert "Edit Mode" in studio.refused(bpy.ops.clay.make)
 
 
 def test_unknown_preset_is_refused(studio: Any) -> None:
-    """List the presets there are."""
-    with pytest.raises(ClayError, match=r"no material preset 'butter'\. There are: plasticine"):
+    """List the available presets."""
+    with pytest.raises(ClayError, match=r"no material preset 'butter'\. Available: plasticine"):
         make_clay(bpy.context, [studio.block()], spacing=0.01, material_preset="butter")
 
 
-def test_missing_warp_is_said(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Say what is missing and what to do where Warp is not installed."""
+def test_missing_warp_is_reported(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say what is missing and what to do if Warp is not installed."""
     monkeypatch.setattr(module, "missing_parts", lambda: ["NVIDIA Warp is missing: install it."])
     studio.block()
     assert "Warp is missing" in studio.refused(bpy.ops.clay.make)
 
 
 def test_collider_is_refused(studio: Any) -> None:
-    """Let nothing be clay and press on it at once."""
+    """Refuse to make clay of an object that presses on clay."""
     studio.block()
     bpy.ops.clay.collider_add()
     assert "'Cube' is a collider" in studio.refused(bpy.ops.clay.make)
 
 
 def test_linked_object_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Refuse a mesh that would show in renders again once the file is opened."""
+    """Refuse a mesh that would be visible in renders again once the file is reopened."""
     item = studio.linked(tmp_path)
     assert "'Cube' is linked from another file" in studio.refused(bpy.ops.clay.make)
     assert not item.hide_render
 
 
 def test_mesh_far_from_the_origin_is_refused(studio: Any) -> None:
-    """Make no clay where single precision cannot tell its particles apart."""
+    """Refuse to make clay where single precision cannot resolve its particles."""
     studio.scene.tactile_clay.spacing = 0.01
     studio.block(location=(1000.0, 0.0, 0.0))
     assert bpy.ops.clay.make() == {"FINISHED"}
     studio.block(location=(0.0, 10_000.0, 0.0))
-    assert "far from the world's origin" in studio.refused(bpy.ops.clay.make)
+    assert "too far from the world origin" in studio.refused(bpy.ops.clay.make)

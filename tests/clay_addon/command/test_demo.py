@@ -29,7 +29,7 @@ import numpy as np
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
 assert not hasattr(bpy.types.Scene, "tactile_clay")
 scene = bpy.context.scene
-clay = bpy.data.objects["Modelling clay"]
+clay = bpy.data.objects["Modeling clay"]
 shapes = []
 for frame in (scene.frame_start, scene.frame_end):
     scene.frame_set(frame)

@@ -216,7 +216,7 @@ def test_panel_lists_hands_and_their_problems(studio: Any) -> None:
     def drawn() -> str:
         from tactile_clay.clay_addon import panel
 
-        panel._hand_glance.clear()
+        panel._hand_states.clear()
         layout = Layout([])
         layout.operator_menu_enum = lambda *_, **__: None  # type: ignore[attr-defined]
         CLAY_PT_hands.draw(SimpleNamespace(layout=layout), bpy.context)  # type: ignore[arg-type]

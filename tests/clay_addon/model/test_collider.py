@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colliders: what may press on the clay, and what the solver is told about it."""
+"""Colliders: which objects may press on the clay, and what the solver receives."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from tactile_clay.clay_addon.simulate.simulation import Simulation
 
 
 def test_mesh_is_marked_and_unmarked(studio: Any) -> None:
-    """Make the selected meshes colliders, and take that back, each with Undo."""
+    """Make the selected meshes colliders, undo, redo and remove."""
     block = studio.block()
     bpy.ops.ed.undo_push(message="block")
     assert bpy.ops.clay.collider_add() == {"FINISHED"}
@@ -30,7 +30,7 @@ def test_mesh_is_marked_and_unmarked(studio: Any) -> None:
 
 
 def test_flat_mesh_is_a_plane_and_closed_mesh_is_itself(studio: Any) -> None:
-    """Tell a table from a tool by their shape, also when turned and scaled."""
+    """Tell a table from a tool by its shape, even when rotated and scaled."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     bpy.ops.mesh.primitive_grid_add(size=2.0, rotation=(0.3, 0.2, 0.1), location=(5, 6, 7))
     assert resolve_kind(bpy.context.object, "AUTO", depsgraph) == "PLANE"
@@ -40,15 +40,15 @@ def test_flat_mesh_is_a_plane_and_closed_mesh_is_itself(studio: Any) -> None:
     assert resolve_kind(block, "AUTO", depsgraph) == "MESH"
 
 
-def test_nothing_selected_is_said(studio: Any) -> None:
-    """Say that nothing is selected, or no collider."""
+def test_empty_selection_is_reported(studio: Any) -> None:
+    """Say that nothing is selected, or no collider is."""
     assert "Nothing is selected" in studio.refused(bpy.ops.clay.collider_add)
     studio.block()
     assert "No collider is selected" in studio.refused(bpy.ops.clay.collider_remove)
 
 
 def test_open_mesh_that_is_not_flat_is_refused(studio: Any) -> None:
-    """Name the object and its holes, and mark none of the selected ones."""
+    """Name the object and its holes, and mark none of the selected objects."""
     good = studio.block()
     bpy.ops.mesh.primitive_cylinder_add(end_fill_type="NOTHING")
     studio.select(good, pipe := bpy.context.object)
@@ -59,7 +59,7 @@ def test_open_mesh_that_is_not_flat_is_refused(studio: Any) -> None:
 def test_object_without_faces_is_refused(studio: Any) -> None:
     """Accept meshes only."""
     bpy.ops.object.empty_add()
-    assert "'Empty' is no mesh (empty)" in studio.refused(bpy.ops.clay.collider_add)
+    assert "'Empty' is not a mesh (empty)" in studio.refused(bpy.ops.clay.collider_add)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_object_without_faces_is_refused(studio: Any) -> None:
 def test_wrong_kind_or_friction_is_refused(
     studio: Any, kind: str, friction: float, words: str
 ) -> None:
-    """Leave the object as it was and say what was wrong."""
+    """Leave the object unchanged and say what is wrong."""
     block = studio.block()
     with pytest.raises(ColliderError, match=words):
         make_collider(block, kind, friction)
@@ -85,7 +85,7 @@ def solver_colliders(simulation: Simulation) -> Any:
 
 @pytest.mark.parametrize("upside_down", [False, True])
 def test_plane_faces_the_clay(studio: Any, upside_down: bool) -> None:
-    """Keep the clay on the side it is on, whichever way the table's face is turned."""
+    """Keep the clay on its side of the table, whichever way the table's face points."""
     studio.clay()
     bpy.ops.mesh.primitive_plane_add(rotation=(np.pi if upside_down else 0.0, 0.0, 0.0))
     make_collider(bpy.context.object)
@@ -95,12 +95,12 @@ def test_plane_faces_the_clay(studio: Any, upside_down: bool) -> None:
 
 
 def world(mesh: Any) -> Any:
-    """World vertices that the solver was told [m]."""
+    """A collider's vertices in world coordinates, as the solver has them [m]."""
     return mesh.vertices @ mesh.pose[:3, :3].T + mesh.pose[:3, 3]
 
 
 def test_solver_sees_the_collider_where_blender_shows_it(studio: Any) -> None:
-    """Pass on location, turn, uneven and mirrored scale, in meters at any unit scale."""
+    """Convert location, rotation, uneven and mirrored scale to meters at any unit scale."""
     studio.scene.unit_settings.scale_length = 0.5
     studio.clay()
     tool = make_collider(studio.block(size=1.0))
@@ -116,8 +116,8 @@ def test_solver_sees_the_collider_where_blender_shows_it(studio: Any) -> None:
     np.testing.assert_allclose(world(mesh), expected, atol=1e-6)
 
 
-def test_turning_tool_keeps_its_shape_for_the_solver(studio: Any) -> None:
-    """Give the solver a pose alone while a tool only moves, so that it refits nothing."""
+def test_rotating_tool_keeps_its_shape_for_the_solver(studio: Any) -> None:
+    """Change only the pose while a tool moves rigidly, so that the solver need not refit it."""
     studio.clay()
     tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     tool.scale = (1.0, 2.0, 0.7)
@@ -139,7 +139,7 @@ def test_turning_tool_keeps_its_shape_for_the_solver(studio: Any) -> None:
 
 
 def test_armature_deforms_the_collider(studio: Any) -> None:
-    """Pass on what an armature does to a mesh, frame by frame."""
+    """Pass a mesh deformed by an armature to the solver, frame by frame."""
     studio.clay()
     bpy.ops.object.armature_add()
     armature = bpy.context.object
@@ -190,7 +190,7 @@ def test_hidden_tool_presses_and_a_switched_off_one_is_not_there(studio: Any) ->
 
 
 def test_tool_switched_off_later_is_refused(studio: Any) -> None:
-    """Stop where Blender no longer moves a tool, instead of holding it still."""
+    """Stop when Blender no longer evaluates a tool, instead of holding it still."""
     studio.clay()
     tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     simulation = Simulation(bpy.context)
@@ -201,7 +201,7 @@ def test_tool_switched_off_later_is_refused(studio: Any) -> None:
 
 
 def test_other_scene_chosen_meanwhile_is_refused(studio: Any) -> None:
-    """Follow no tool through the eyes of another scene, which does not move it."""
+    """Refuse to read a tool from another scene, which does not animate it."""
     studio.clay()
     make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     simulation = Simulation(bpy.context)
@@ -226,7 +226,7 @@ def test_collider_that_changes_its_topology_is_refused(studio: Any) -> None:
 
 
 def test_plane_that_moves_is_refused(studio: Any) -> None:
-    """Say at which frame a table moves, and what to do instead."""
+    """Say at which frame the plane moves, and what to do instead."""
     studio.clay()
     studio.table()
     table = bpy.context.object
@@ -248,7 +248,7 @@ def test_scene_without_clay_is_refused(studio: Any) -> None:
 
 
 def test_scaled_clay_is_refused(studio: Any) -> None:
-    """Say that scaling pulls the particles apart, but let clay be moved and turned."""
+    """Refuse scaled clay, but allow clay to be moved and rotated."""
     clay = studio.clay()
     clay.location.x += 1.0
     clay.rotation_euler = (0.3, 0.2, 0.1)
@@ -275,7 +275,7 @@ def test_linked_duplicate_of_clay_is_refused(studio: Any) -> None:
 
 
 def test_clay_that_blender_does_not_evaluate_is_refused(studio: Any) -> None:
-    """Bake clay hidden with H, but none that is switched off."""
+    """Accept clay hidden with H, but not clay that is switched off."""
     clay = studio.clay()
     clay.hide_set(True)
     assert len(Simulation(bpy.context).rest) == 1
@@ -284,16 +284,16 @@ def test_clay_that_blender_does_not_evaluate_is_refused(studio: Any) -> None:
         Simulation(bpy.context)
 
 
-def test_clay_whose_transform_is_no_number_is_refused(studio: Any) -> None:
-    """Name the object, and do not call it scaled."""
+def test_clay_with_non_finite_transform_is_refused(studio: Any) -> None:
+    """Name the object, and do not claim that it is scaled."""
     studio.clay().location.x = float("nan")
     bpy.context.view_layer.update()
     with pytest.raises(SimulationError, match="transform of 'Clay' is not finite"):
         Simulation(bpy.context)
 
 
-def test_plane_that_is_no_number_later_is_refused(studio: Any) -> None:
-    """Stop at the frame where a table's place is not a number."""
+def test_plane_that_becomes_non_finite_is_refused(studio: Any) -> None:
+    """Stop at the frame where a plane's location is not a number."""
     studio.clay()
     table = studio.table()
     simulation = Simulation(bpy.context)
@@ -303,8 +303,8 @@ def test_plane_that_is_no_number_later_is_refused(studio: Any) -> None:
         simulation.feed(bpy.context.evaluated_depsgraph_get())
 
 
-def test_name_of_a_collider_decides_nothing(studio: Any) -> None:
-    """Keep a bake when a tool gets another name."""
+def test_name_of_a_collider_does_not_matter(studio: Any) -> None:
+    """Keep a bake valid when a tool is renamed."""
     studio.clay()
     tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     before = Simulation(bpy.context).digests()
@@ -315,7 +315,7 @@ def test_name_of_a_collider_decides_nothing(studio: Any) -> None:
 
 
 def test_linked_collider_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Refuse an object that would be no collider any more in the saved file."""
+    """Refuse an object whose role would be lost when the file is saved."""
     item = studio.linked(tmp_path)
     assert "Make it local" in studio.refused(bpy.ops.clay.collider_add)
     with pytest.raises(ColliderError, match="'Cube' is linked from another file"):
@@ -332,7 +332,7 @@ def test_clay_of_different_spacing_is_refused(studio: Any) -> None:
 
 
 def test_gravity_is_the_scenes(studio: Any) -> None:
-    """Take gravity from the scene, and none where the scene has it switched off."""
+    """Use the scene's gravity, and none if the scene disables it."""
     studio.clay()
     studio.scene.gravity = (0.0, 1.0, -2.0)
     np.testing.assert_allclose(Simulation(bpy.context).gravity, (0.0, 1.0, -2.0))
@@ -341,7 +341,7 @@ def test_gravity_is_the_scenes(studio: Any) -> None:
 
 
 def test_keyframes_lift_a_tool_off_the_clay_and_set_it_on(studio: Any) -> None:
-    """Tell the solver at each frame whether the clay feels the tool, and the cache, too."""
+    """Pass to solver and digests at each frame whether the tool touches the clay."""
     studio.clay()
     tool = make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     values = tool.tactile_clay

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every value of a material is everywhere: in properties, panel, presets, digests and films."""
+"""Every material value reaches the properties, panel, presets, digests and live sessions."""
 
 from dataclasses import fields, replace
 from pathlib import Path
@@ -28,12 +28,12 @@ NAMES = [field.name for field in MATERIAL_FIELDS]
 
 
 def other_value(field: MaterialField) -> float:
-    """A value that is not the default, exact in single precision."""
+    """A value other than the default, exact in single precision."""
     return 0.75 if field.soft_maximum <= 1.0 else 4096.0
 
 
-def test_table_is_the_material() -> None:
-    """List each field of a material once, with words and a range that holds its default."""
+def test_table_matches_the_material() -> None:
+    """List each field of a material once, with texts and a range that contains its default."""
     assert [field.name for field in fields(Material)] == NAMES
     for field in MATERIAL_FIELDS:
         assert field.label
@@ -44,7 +44,7 @@ def test_table_is_the_material() -> None:
 
 
 def test_new_clay_has_the_values_of_a_new_material(studio: Any) -> None:
-    """Agree on one default for each value."""
+    """Use the same default in the solver, the properties and the default preset."""
     item = bpy.data.objects.new("plain", None)
     assert read_material(item.tactile_clay) == Material() == Material.preset("plasticine")
 
@@ -67,7 +67,7 @@ values = st.builds(
 def test_material_survives_properties_and_files(
     material: Material, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Read back what was written into an object and into a file."""
+    """Read back what was written to an object and to a file."""
     import tactile_clay
 
     tactile_clay.register()
@@ -87,8 +87,8 @@ def test_material_survives_properties_and_files(
 
 
 @pytest.mark.parametrize("field", MATERIAL_FIELDS, ids=NAMES)
-def test_each_value_counts_wherever_clay_is_told_apart(studio: Any, field: MaterialField) -> None:
-    """Change the digest of a bake and the structure of a session, and make the preset custom."""
+def test_changing_any_value_is_detected(studio: Any, field: MaterialField) -> None:
+    """Change the digest of a bake and the structure of a session, and set the preset to Custom."""
     clay = studio.clay()
     properties = clay.tactile_clay
     digest, built = scene_digests(studio.scene)["materials"], structure(studio.scene)
@@ -102,8 +102,8 @@ def test_each_value_counts_wherever_clay_is_told_apart(studio: Any, field: Mater
     assert material_of(clay) == Material.preset("plasticine")
 
 
-def test_panel_draws_each_value_and_dims_what_is_not_given(studio: Any) -> None:
-    """Show a row for each value, with a switch where it may be left out."""
+def test_panel_draws_each_value(studio: Any) -> None:
+    """Show a row for each value, with a switch if it is optional."""
     rows: list[str] = []
 
     def layout() -> SimpleNamespace:
@@ -118,8 +118,8 @@ def test_panel_draws_each_value_and_dims_what_is_not_given(studio: Any) -> None:
     assert rows == list(property_names())
 
 
-def test_file_saved_before_keeps_its_material(studio: Any, tmp_path: Path) -> None:
-    """Take what an older .blend says, and the defaults for values that it does not know."""
+def test_older_file_keeps_its_material(studio: Any, tmp_path: Path) -> None:
+    """Read an older .blend, with defaults for values that it lacks."""
     clay = studio.clay()
     write_material(clay.tactile_clay, Material(yield_stress=1234.0, cohesion=77.0, flow_index=0.5))
     stored = clay.tactile_clay

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Materials of the user's own: saved, listed, removed, and what a bad file leads to."""
+"""The user's own materials: saved, listed and removed; bad files are reported."""
 
 import os
 import re
@@ -30,7 +30,7 @@ GOOD = "[material]\nyield_stress = 3000.0\n"
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A folder for the user's materials that is not there yet."""
+    """A folder for the user's materials, which does not exist yet."""
     path = tmp_path / "user" / "materials"
     monkeypatch.setattr(user_materials, "user_material_folder", lambda: path)
     user_materials.forget_user_materials()
@@ -39,14 +39,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def write(folder: Path, name: str, text: str) -> None:
-    """Put a file into the folder, as a user does."""
+    """Put a file in the folder, as a user might."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / name).write_text(text, encoding="utf-8")
     user_materials.forget_user_materials()
 
 
 def test_saved_material_reads_back(folder: Path) -> None:
-    """Give back label and values to the last bit, and no file beside."""
+    """Preserve label and values exactly, and leave no other file behind."""
     assert read_user_materials(folder) == user_materials.UserMaterials((), ())
     material = Material(density=1234.5, yield_stress=1 / 3, viscosity=0.0, friction=0.1)
     saved = save_user_material('  Grandma\'s "best"   clay ', material)
@@ -58,7 +58,7 @@ def test_saved_material_reads_back(folder: Path) -> None:
 
 @pytest.mark.parametrize("label", ["con", "Пластилин", "粘土", "a/../b", "é" * 40, "!?"])
 def test_any_printable_label_makes_a_file(folder: Path, label: str) -> None:
-    """Find a file name for every label, inside the folder, and list it as it was called."""
+    """Find a file name inside the folder for every label, and list the label unchanged."""
     saved = save_user_material(label, Material())
     (found,) = read_user_materials(folder).materials
     assert found == saved
@@ -74,11 +74,11 @@ def test_any_printable_label_makes_a_file(folder: Path, label: str) -> None:
         ("", "needs a name"),
         (" \t ", "needs a name"),
         ("bell\a", "needs a name"),
-        ("x" * 41, "has 41 letters; use at most 40"),
+        ("x" * 41, "has 41 characters; use at most 40"),
         ("Wet Clay", "comes with the extension"),
     ],
 )
-def test_label_that_cannot_be_is_refused(folder: Path, label: str, message: str) -> None:
+def test_invalid_label_is_refused(folder: Path, label: str, message: str) -> None:
     """Say what is wrong with a label, and write nothing."""
     with pytest.raises(UserMaterialError, match=message):
         save_user_material(label, Material())
@@ -86,9 +86,9 @@ def test_label_that_cannot_be_is_refused(folder: Path, label: str, message: str)
 
 
 def test_taken_name_needs_replace(folder: Path) -> None:
-    """Keep what is there unless told to replace it."""
+    """Keep the existing material unless `replace` is set."""
     save_user_material("Mine", Material(density=1000.0))
-    with pytest.raises(UserMaterialError, match=r"already\. Choose another name, or tick Replace"):
+    with pytest.raises(UserMaterialError, match=r"already .* name, or enable Replace"):
         save_user_material("mine", Material(density=2000.0))
     assert read_user_materials(folder).materials[0].material.density == 1000.0
     save_user_material("Mine", Material(density=2000.0), replace=True)
@@ -128,10 +128,10 @@ def test_folder_that_cannot_be_written_is_named(
         ("label = 7\n" + GOOD, r"bad\.toml: label is 7"),
     ],
 )
-def test_bad_file_is_named_and_hides_no_good_one(
+def test_bad_file_is_named_and_does_not_hide_good_ones(
     studio: Any, folder: Path, text: str, message: str
 ) -> None:
-    """Tell file and fault in the panel, list the good files, and register all the same."""
+    """Show the file and its error in the panel, list the good files, and still register."""
     import tactile_clay
 
     write(folder, "bad.toml", text)
@@ -140,7 +140,7 @@ def test_bad_file_is_named_and_hides_no_good_one(
     assert [each.name for each in found.materials] == ["fine"]
     (problem,) = found.problems
     assert re.search(message, problem)
-    assert "Mend or delete the file." in problem
+    assert "Fix or delete the file." in problem
     tactile_clay.unregister()
     tactile_clay.register()
     assert problem in drawn(panel.CLAY_PT_clay)
@@ -148,16 +148,16 @@ def test_bad_file_is_named_and_hides_no_good_one(
 
 
 @pytest.mark.parametrize("name", ["CUSTOM", "SCENE", "plasticine"])
-def test_file_with_a_taken_name_is_told(folder: Path, name: str) -> None:
-    """Refuse a file that is called like a preset that ships, or like what the interface uses."""
+def test_file_with_a_taken_name_is_reported(folder: Path, name: str) -> None:
+    """Reject a file with the name of a shipped preset or a reserved name."""
     write(folder, f"{name}.toml", GOOD)
     found = read_user_materials(folder)
     assert found.materials == ()
-    assert f"{name}.toml cannot be told from the preset {name!r}" in found.problems[0]
+    assert f"{name}.toml conflicts with the preset {name!r}" in found.problems[0]
 
 
 def test_operators_save_choose_and_remove(studio: Any, folder: Path) -> None:
-    """Save the active clay's values, use them for other clay, remove them and keep the values."""
+    """Save the active clay's material, use it for other clay, and keep the values on removal."""
     first, second = studio.clay("First"), studio.clay("Second", location=(0.1, 0.0, 0.03))
     studio.select(first)
     assert not bpy.ops.clay.material_remove.poll()
@@ -181,12 +181,12 @@ def test_operators_save_choose_and_remove(studio: Any, folder: Path) -> None:
         assert clay.tactile_clay.material_preset == "CUSTOM"
         assert clay.tactile_clay.yield_stress == 4321.0
     assert studio.scene.tactile_clay.material_preset == "plasticine"
-    with pytest.raises(UserMaterialError, match="no material of yours"):
+    with pytest.raises(UserMaterialError, match="not one of your materials"):
         remove_user_material("plasticine")
 
 
 def test_save_operator_reports_what_is_wrong(studio: Any, folder: Path) -> None:
-    """Hand the message on."""
+    """Report the error's message; unavailable unless clay is active."""
     studio.select(studio.clay())
     assert "comes with the extension" in studio.refused(bpy.ops.clay.material_save, label="Wax")
     studio.select(studio.block(location=(0.1, 0.0, 0.03)))
@@ -194,7 +194,7 @@ def test_save_operator_reports_what_is_wrong(studio: Any, folder: Path) -> None:
 
 
 def test_missing_preset_keeps_its_values(studio: Any, folder: Path, tmp_path: Path) -> None:
-    """Say so of clay whose preset is on another machine; bake it with the values it has."""
+    """Mark a preset that this machine lacks as missing, and keep the clay's values."""
     clay = studio.clay()
     studio.select(clay)
     clay.tactile_clay.yield_stress = 4321.0
@@ -213,8 +213,8 @@ def test_missing_preset_keeps_its_values(studio: Any, folder: Path, tmp_path: Pa
     assert values.material_preset == "CUSTOM"
 
 
-def test_numbers_in_old_files_stay(studio: Any) -> None:
-    """Keep the numbers by which .blend files of earlier versions know the presets."""
+def test_preset_numbers_stay_stable(studio: Any) -> None:
+    """Keep the numbers that .blend files of earlier versions store for the presets."""
     assert material_number("plasticine") == 16241818
     assert {item[0]: item[4] for item in material_presets.SHIPPED_ITEMS} == {
         name: material_number(name) for name in Material.preset_names()
@@ -238,8 +238,8 @@ os._exit(0)
 """
 
 
-def test_folder_is_blenders_for_its_user(tmp_path: Path) -> None:
-    """Save where Blender keeps its user's files, also where the add-on is no extension."""
+def test_folder_is_in_blenders_user_folder(tmp_path: Path) -> None:
+    """Save among Blender's user files, even if the add-on is not installed as an extension."""
     result = subprocess.run(
         [sys.executable, "-c", WITH_HOME],
         capture_output=True,

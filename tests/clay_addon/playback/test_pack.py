@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packed playback: the frames inside the .blend, played where the add-on is not."""
+"""Packed playback: frames stored in the .blend play without the add-on."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def clay() -> Any:
 
 
 def some_frames(first: int, last: int) -> dict[int, np.ndarray]:
-    """Positions at random for every frame."""
+    """Random positions for every frame."""
     rng = np.random.default_rng(last)
     return {
         number: rng.normal(0, 0.1, (COUNT, 3)).astype(np.float32)
@@ -56,8 +56,8 @@ def shown(item: Any) -> np.ndarray:
     return positions
 
 
-def test_every_frame_is_shown_bit_for_bit_and_the_ends_are_held(clay: Any) -> None:
-    """Frames, negative ones too, come out exactly; beyond the range the ends stay."""
+def test_every_frame_is_exact_and_the_ends_are_held(clay: Any) -> None:
+    """Show every frame bit for bit, even negative ones, and hold the ends beyond the range."""
     frames = some_frames(-2, 12)
     pack(clay, frames)
     assert is_packed(clay)
@@ -68,8 +68,8 @@ def test_every_frame_is_shown_bit_for_bit_and_the_ends_are_held(clay: Any) -> No
         np.testing.assert_array_equal(packed_positions(clay, number), expected)
 
 
-def test_between_two_frames_is_their_mean(clay: Any) -> None:
-    """A quarter past a frame shows a quarter of the way to the next."""
+def test_subframes_are_interpolated(clay: Any) -> None:
+    """Interpolate linearly between two frames."""
     frames = some_frames(1, 3)
     pack(clay, frames)
     bpy.context.scene.frame_set(2, subframe=0.25)
@@ -79,7 +79,7 @@ def test_between_two_frames_is_their_mean(clay: Any) -> None:
 
 
 def test_playback_comes_before_the_look(clay: Any) -> None:
-    """The surface is made of the packed positions, not of those at rest."""
+    """Make the surface from the packed positions, not from the rest positions."""
     assert [item.name for item in clay.modifiers] == ["Clay Surface"]
     pack(clay, {1: np.tile([5.0, 0.0, 0.0], (COUNT, 1))})
     assert [item.name for item in clay.modifiers] == [MODIFIER_NAME, "Clay Surface"]
@@ -89,7 +89,7 @@ def test_playback_comes_before_the_look(clay: Any) -> None:
 
 
 def test_packing_again_replaces_and_unpacking_restores(clay: Any) -> None:
-    """A second pack leaves none of the first; unpack brings back the object as it was."""
+    """Leave no frame of an earlier pack, and restore the object on unpacking."""
     before = {item.name for item in clay.data.attributes}
     rest = shown(clay)
     pack(clay, some_frames(1, 20))
@@ -107,7 +107,7 @@ def test_packing_again_replaces_and_unpacking_restores(clay: Any) -> None:
 
 
 def test_two_clays_share_one_node_group(clay: Any) -> None:
-    """Each object plays its own frames with one node group for all."""
+    """Play each object's own frames with one shared node group."""
     other = clay.copy()
     other.data = clay.data.copy()
     bpy.context.collection.objects.link(other)
@@ -129,7 +129,7 @@ def test_two_clays_share_one_node_group(clay: Any) -> None:
     ],
 )
 def test_bad_frames_change_nothing(clay: Any, frames: dict[int, np.ndarray], message: str) -> None:
-    """Frames that cannot be packed are refused, and what was packed before still plays."""
+    """Refuse frames that cannot be packed, and keep playing those packed before."""
     good = some_frames(1, 2)
     pack(clay, good)
     with pytest.raises(PackError, match=message):
@@ -139,7 +139,7 @@ def test_bad_frames_change_nothing(clay: Any, frames: dict[int, np.ndarray], mes
 
 
 def test_other_objects_are_refused(clay: Any) -> None:
-    """A mesh cannot be packed."""
+    """Refuse to pack a mesh."""
     mesh = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
     assert not is_packed(mesh)
     with pytest.raises(PackError, match="'Cube' is a mesh"):
@@ -182,7 +182,7 @@ os._exit(0)
 
 
 def test_saved_file_plays_and_renders_without_the_addon(clay: Any, tmp_path: Path) -> None:
-    """In a fresh process that never saw the add-on every frame is exact, and a render moves."""
+    """Show exact frames and render motion in a new process that never loads the add-on."""
     frames = some_frames(1, 8)
     for number, x in ((1, -0.08), (2, 0.0), (3, 0.08)):
         frames[number] = (frames[number] * 0.05 + [x, 0, 0]).astype(np.float32)
@@ -222,7 +222,7 @@ def test_saved_file_plays_and_renders_without_the_addon(clay: Any, tmp_path: Pat
 
 
 def baked(studio: Any, folder: Path) -> tuple[Any, dict[int, np.ndarray]]:
-    """A falling block with a cache of its bake, and its frames in world space."""
+    """A baked falling block, and its frames in world space."""
     from tactile_clay.clay_addon.bake.bake import bake
 
     item = studio.falling_block(folder)
@@ -241,7 +241,7 @@ def world(item: Any, positions: np.ndarray) -> np.ndarray:
 
 
 def test_packed_bake_plays_when_the_cache_is_gone(studio: Any, tmp_path: Path) -> None:
-    """After packing, the frames of the bake are shown and exported without the cache."""
+    """Show and export the packed frames without the cache."""
     item, frames = baked(studio, tmp_path)
     assert bpy.ops.clay.pack() == {"FINISHED"}
     shutil.rmtree(tmp_path / "clay_cache")
@@ -260,7 +260,7 @@ def test_packed_bake_plays_when_the_cache_is_gone(studio: Any, tmp_path: Path) -
 
 
 def test_incomplete_or_foreign_bake_is_not_packed(studio: Any, tmp_path: Path) -> None:
-    """A bake that is missing, has a gap or is of other clay is refused, with what to do."""
+    """Refuse a bake that is missing, incomplete or of different clay, and say what to do."""
     assert not bpy.ops.clay.pack.poll()
     item = studio.falling_block(tmp_path)
     assert "Bake first" in studio.refused(bpy.ops.clay.pack)
@@ -279,7 +279,7 @@ def test_incomplete_or_foreign_bake_is_not_packed(studio: Any, tmp_path: Path) -
 
 
 def test_linked_clay_is_not_packed(studio: Any, tmp_path: Path) -> None:
-    """Refuse to store frames in data that is not saved with the file."""
+    """Refuse to store frames in data that is not saved with this file."""
     item = studio.falling_block(tmp_path)
     bpy.data.libraries.write(str(tmp_path / "library.blend"), {item})
     bpy.data.objects.remove(item)
@@ -292,7 +292,7 @@ def test_linked_clay_is_not_packed(studio: Any, tmp_path: Path) -> None:
 
 
 def test_packing_can_be_undone(studio: Any, tmp_path: Path) -> None:
-    """Undo takes the packed frames out again, redo brings them back."""
+    """Remove the packed frames on undo, and restore them on redo."""
     item, _ = baked(studio, tmp_path)
     bpy.ops.ed.undo_push(message="baked")
     bpy.ops.clay.pack()

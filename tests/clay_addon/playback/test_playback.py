@@ -25,7 +25,7 @@ def baked(studio: Any, tmp_path: Path) -> tuple[Any, Cache]:
 
 
 def test_each_frame_shows_its_bake(studio: Any, baked: tuple[Any, Cache]) -> None:
-    """Show the baked positions whichever way the frame is reached."""
+    """Show the baked positions however the frame is reached."""
     clay, cache = baked
     for frame in (6, 2, 5, 1):
         studio.scene.frame_set(frame)
@@ -44,7 +44,7 @@ def test_frames_outside_the_bake_show_its_ends(studio: Any, baked: tuple[Any, Ca
 
 
 def test_rest_state_is_shown_before_any_bake(studio: Any, tmp_path: Path) -> None:
-    """Leave unbaked clay as it was made."""
+    """Leave unbaked clay unchanged."""
     clay = studio.falling_block(tmp_path)
     studio.scene.frame_set(4)
     np.testing.assert_array_equal(studio.points(clay), studio.points(clay, "rest_position"))
@@ -54,7 +54,7 @@ def test_rest_state_is_shown_before_any_bake(studio: Any, tmp_path: Path) -> Non
 def test_bad_frame_keeps_the_last_good_one(
     studio: Any, baked: tuple[Any, Cache], damage: str
 ) -> None:
-    """Never show a frame that is not whole, and say so until a good one is shown."""
+    """Never show an incomplete frame, and report it until a good one is shown."""
     clay, cache = baked
     studio.scene.frame_set(3)
     shown = studio.points(clay)
@@ -71,19 +71,19 @@ def test_bad_frame_keeps_the_last_good_one(
     assert playback.message(studio.scene) == ""
 
 
-def test_bake_of_other_clay_is_not_shown(studio: Any, baked: tuple[Any, Cache]) -> None:
-    """Show the rest state and say why where the bake has other particles."""
+def test_bake_of_different_clay_is_not_shown(studio: Any, baked: tuple[Any, Cache]) -> None:
+    """Show the rest state and say why if the bake has other particles."""
     clay, _ = baked
     clay.name = "Renamed"
     clay.location.x += 1.0
     bpy.context.view_layer.update()
     studio.scene.frame_set(5)
     np.testing.assert_array_equal(studio.points(clay), studio.points(clay, "rest_position"))
-    assert "the bake is of other clay: Clay (64 particles)" in playback.message(studio.scene)
+    assert "the bake is of different clay: Clay (64 particles)" in playback.message(studio.scene)
 
 
 def test_renamed_clay_plays_its_bake(studio: Any, baked: tuple[Any, Cache]) -> None:
-    """Know clay by where it starts from when its object has another name."""
+    """Recognize renamed clay by its starting shape."""
     clay, cache = baked
     clay.name = "Bowl"
     studio.scene.frame_set(5)
@@ -91,18 +91,18 @@ def test_renamed_clay_plays_its_bake(studio: Any, baked: tuple[Any, Cache]) -> N
     assert playback.message(studio.scene) == ""
 
 
-def test_clay_scaled_to_nothing_is_said(studio: Any, baked: tuple[Any, Cache]) -> None:
+def test_clay_scaled_to_zero_is_reported(studio: Any, baked: tuple[Any, Cache]) -> None:
     """Say why nothing can be shown, instead of failing at every frame."""
     clay, _ = baked
     clay.scale = (0.0, 0.0, 0.0)
     bpy.context.view_layer.update()
     studio.scene.frame_set(5)
-    assert "'Clay' is scaled to nothing" in playback.message(studio.scene)
-    assert "'Clay' is scaled to nothing" in studio.refused(bpy.ops.clay.pack)
+    assert "'Clay' is scaled to zero" in playback.message(studio.scene)
+    assert "'Clay' is scaled to zero" in studio.refused(bpy.ops.clay.pack)
 
 
 def test_unusable_meta_says_what_to_do(studio: Any, baked: tuple[Any, Cache]) -> None:
-    """Ask to bake again where the cache is of a later version."""
+    """Ask the user to bake again if the cache is from a later version."""
     _, cache = baked
     path = cache.directory / "meta.json"
     path.write_text(path.read_text().replace('"format_version": 1', '"format_version": 2'))
@@ -112,8 +112,8 @@ def test_unusable_meta_says_what_to_do(studio: Any, baked: tuple[Any, Cache]) ->
     )
 
 
-def test_points_moved_before_the_bake_are_where_it_starts(studio: Any, tmp_path: Path) -> None:
-    """Keep clay in its place when its transform is applied or another piece is joined to it."""
+def test_bake_starts_from_points_moved_before_it(studio: Any, tmp_path: Path) -> None:
+    """Keep clay in place when its transform is applied or another piece is joined to it."""
     clay = studio.falling_block(tmp_path, end=2)
     clay.location.x += 0.5
     studio.select(clay)
@@ -130,10 +130,10 @@ def test_points_moved_before_the_bake_are_where_it_starts(studio: Any, tmp_path:
     np.testing.assert_allclose(cache.read_frame(1).positions, together, atol=1e-6)
 
 
-def test_baked_frame_is_never_taken_for_the_rest_state(
+def test_baked_frame_is_never_mistaken_for_the_rest_state(
     studio: Any, baked: tuple[Any, Cache]
 ) -> None:
-    """Go back to where the clay started when the bake is gone, also after Undo."""
+    """Return to the clay's starting shape when the bake is gone, even after Undo."""
     clay, cache = baked
     rest = studio.points(clay, "rest_position")
     bpy.ops.ed.undo_push(message="first frame")
@@ -154,7 +154,7 @@ def test_baked_frame_is_never_taken_for_the_rest_state(
 def test_moved_clay_object_plays_back_where_it_was_baked(
     studio: Any, baked: tuple[Any, Cache]
 ) -> None:
-    """Keep world positions although the object's own frame of reference has moved."""
+    """Keep world positions even though the object's transform has changed."""
     clay, cache = baked
     clay.location.x += 1.0
     clay.rotation_euler.z = 0.5
@@ -164,7 +164,7 @@ def test_moved_clay_object_plays_back_where_it_was_baked(
 
 
 def test_undo_and_redo_show_the_current_frame(studio: Any, baked: tuple[Any, Cache]) -> None:
-    """Show the frame that the scene is at after Undo and Redo."""
+    """Show the scene's current frame after Undo and Redo."""
     _, cache = baked
     bpy.ops.ed.undo_push(message="frame 1")
     bpy.context.scene.frame_set(6)
@@ -180,7 +180,7 @@ def test_undo_and_redo_show_the_current_frame(studio: Any, baked: tuple[Any, Cac
 
 
 def test_opened_file_shows_its_bake(studio: Any, baked: tuple[Any, Cache], tmp_path: Path) -> None:
-    """Show the bake right after opening, from a folder that moved with the file."""
+    """Show the bake right after opening a file that was moved together with its cache."""
     _, cache = baked
     studio.scene.frame_set(1)
     studio.scene.frame_current = 5
@@ -258,5 +258,5 @@ def test_animation_render_shows_each_frame(studio: Any, tmp_path: Path) -> None:
         image = bpy.data.images.load(str(tmp_path / f"picture_{frame:04d}.png"))
         opacity = np.array(image.pixels).reshape(160, 160, 4)[:, :, 3]
         centers.append(float((opacity.sum(0) * np.arange(160)).sum() / opacity.sum()))
-    # Free fall at 20 m/s² for frames of 1/24 s, seen at 400 pixels a meter.
+    # Free fall at 20 m/s² for frames of 1/24 s, seen at 400 pixels per meter.
     np.testing.assert_allclose(np.diff(centers), [6.9, 20.8, 34.7], atol=1.1)

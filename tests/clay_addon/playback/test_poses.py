@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Keyed poses: sculpted shapes held on the timeline, and simulated shapes held for some frames."""
+"""Keyed poses: sculpted shapes held on the timeline, and simulated shapes held on twos."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def shown(clay: Any, frame: int) -> np.ndarray:
 
 
 def sculpt(clay: Any, shift: float) -> np.ndarray:
-    """Move the clay itself, as a sculpting session does, and return its shape."""
+    """Move the clay's own points, as a sculpting session does, and return their positions."""
     layer = clay.data.attributes["position"].data
     positions = np.empty((len(layer), 3), np.float32)
     layer.foreach_get("vector", positions.ravel())
@@ -59,7 +59,7 @@ def clay(studio: Any) -> Any:
 
 
 def key_two(studio: Any, clay: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Key a shape at frame 2 and another, of fewer particles, at frame 5."""
+    """Key a shape at frame 2 and another, with fewer particles, at frame 5."""
     studio.scene.frame_set(2)
     first = sculpt(clay, 0.01)
     assert bpy.ops.clay.pose_key() == {"FINISHED"}
@@ -93,8 +93,8 @@ os._exit(0)
 """
 
 
-def test_poses_are_held_where_the_addon_is_not(studio: Any, clay: Any, tmp_path: Path) -> None:
-    """Shapes of different particle counts come out exactly in a process without the add-on."""
+def test_poses_are_held_without_the_addon(studio: Any, clay: Any, tmp_path: Path) -> None:
+    """Show shapes with different particle counts exactly in a process without the add-on."""
     first, second = key_two(studio, clay)
     assert (len(first), len(second)) == (64, 8)
     path = studio.save(tmp_path)
@@ -109,7 +109,7 @@ def test_poses_are_held_where_the_addon_is_not(studio: Any, clay: Any, tmp_path:
 
 
 def test_keys_are_ordinary_and_can_be_moved(studio: Any, clay: Any) -> None:
-    """Moving a key in the dope sheet moves the pose; the simulation can be keyed too."""
+    """Move a pose with its key in the Dope Sheet, and key the simulation too."""
     first, second = key_two(studio, clay)
     curves = (
         clay.animation_data.action.layers[0].strips[0].channelbag(clay.animation_data.action_slot)
@@ -129,7 +129,7 @@ def test_keys_are_ordinary_and_can_be_moved(studio: Any, clay: Any) -> None:
 
 
 def test_keying_again_replaces_and_removing_leaves_nothing(studio: Any, clay: Any) -> None:
-    """A key at the same frame takes the old one's place; the last one takes all with it."""
+    """Replace a key at the same frame, and remove all data with the last key."""
     key_two(studio, clay)
     moved = sculpt(clay, 0.5)
     bpy.ops.clay.pose_key()
@@ -146,8 +146,8 @@ def test_keying_again_replaces_and_removing_leaves_nothing(studio: Any, clay: An
     assert not [item.name for item in left if "pose" in item.name.lower()]
 
 
-def test_work_goes_on_from_a_pose(studio: Any, clay: Any) -> None:
-    """A keyed pose becomes the clay itself, which is what is sculpted, baked and exported."""
+def test_pose_can_be_applied_to_the_clay(studio: Any, clay: Any) -> None:
+    """Replace the clay's own points, which are sculpted, baked and exported, with a pose."""
     first, _ = key_two(studio, clay)
     studio.scene.frame_set(3)
     assert bpy.ops.clay.pose_take() == {"FINISHED"}
@@ -157,7 +157,7 @@ def test_work_goes_on_from_a_pose(studio: Any, clay: Any) -> None:
 
 
 def test_sculpting_shows_the_clay_itself(studio: Any, clay: Any) -> None:
-    """While the clay is shown live its keyed poses are not, and afterwards they are again."""
+    """Hide keyed poses while the clay is shown live, and show them again afterwards."""
     key_two(studio, clay)
     modifier = pose_modifier(clay)
     assert modifier is not None
@@ -173,7 +173,7 @@ def test_sculpting_shows_the_clay_itself(studio: Any, clay: Any) -> None:
 def test_export_and_delivery_take_the_pose_that_is_shown(
     studio: Any, clay: Any, tmp_path: Path
 ) -> None:
-    """What leaves is what is seen, each pose once."""
+    """Export and deliver what is displayed, each pose once."""
     key_two(studio, clay)
     for frame, count in ((4, 64), (5, 8)):
         studio.scene.frame_set(frame)
@@ -186,7 +186,7 @@ def test_export_and_delivery_take_the_pose_that_is_shown(
 def test_poses_of_clay_that_moves_are_delivered_where_they_are(
     studio: Any, clay: Any, tmp_path: Path
 ) -> None:
-    """A keyed object takes its held pose along, and the scene's frame stays as it is."""
+    """Move a held pose with its animated object, and leave the scene's frame unchanged."""
     bpy.ops.clay.pose_key()
     for frame, place in ((1, 0.0), (3, 0.2)):
         clay.location.x = place
@@ -205,7 +205,7 @@ def test_poses_of_clay_that_moves_are_delivered_where_they_are(
 
 
 def test_a_duplicate_keeps_its_own_poses(studio: Any, clay: Any) -> None:
-    """Keys of a copy leave those of the original alone."""
+    """Leave the original's poses alone when a copy is keyed."""
     first, second = key_two(studio, clay)
     copy = clay.copy()
     copy.data = clay.data.copy()
@@ -217,7 +217,7 @@ def test_a_duplicate_keeps_its_own_poses(studio: Any, clay: Any) -> None:
 
 
 def test_bad_shapes_are_refused(studio: Any, clay: Any) -> None:
-    """A mesh, a wrong number of particles, one that is not finite, and clay that is packed."""
+    """Refuse a mesh, a wrong number of particles, and positions that are not finite."""
     with pytest.raises(PoseError, match="is a mesh"):
         key_pose(studio.block(), np.zeros((64, 3), np.float32), time=1)
     with pytest.raises(PoseError, match="needs"):
@@ -229,7 +229,7 @@ def test_bad_shapes_are_refused(studio: Any, clay: Any) -> None:
 
 
 def test_shapes_are_held_on_twos(studio: Any, tmp_path: Path) -> None:
-    """Playback, packed playback and export show every second simulated shape for two frames."""
+    """Show every second simulated shape for two frames, in playback and packed playback."""
     clay = studio.falling_block(tmp_path, end=5)
     look.set_input(clay.modifiers["Clay Surface"], "Surface", False)
     bake(bpy.context)
@@ -244,7 +244,7 @@ def test_shapes_are_held_on_twos(studio: Any, tmp_path: Path) -> None:
     assert is_packed(clay)
     for number, shape in held.items():
         np.testing.assert_array_equal(shown(clay, number), ones[shape])
-    # Nothing is shown between two held shapes, whatever time a motion blur asks for.
+    # Held shapes are not interpolated, even at subframes for motion blur.
     studio.scene.frame_set(4, subframe=0.75)
     geometry = clay.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry()
     assert geometry.pointcloud.points[0].co.z == ones[3][0, 2]

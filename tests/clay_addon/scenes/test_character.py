@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The character scene: pieces that stick, and tools that begin and end off the clay."""
+"""The character scene: pieces that stick, and tools that start and end away from the clay."""
 
 from collections.abc import Iterator
 
@@ -43,7 +43,7 @@ def tool_points(scene: character_scene.Character, frame: int) -> list[np.ndarray
 
 
 def test_there_is_enough_clay_for_detail(scene: character_scene.Character) -> None:
-    """Hold 12,000 to 30,000 particles in six colors."""
+    """Have 12,000 to 30,000 particles in six colors."""
     assert 12_000 < len(scene.clay.data.points) < 30_000
     assert len(np.unique(clay_colors(scene.clay), axis=0)) == 6
 
@@ -51,7 +51,7 @@ def test_there_is_enough_clay_for_detail(scene: character_scene.Character) -> No
 def test_pellets_stick_to_the_bust_and_the_rest_lies_beside_it(
     scene: character_scene.Character,
 ) -> None:
-    """Let each color touch the clay next to it, but for three balls that lie on the board."""
+    """Let each color touch other clay, except three balls that lie on the board."""
     points = clay_positions(scene.clay)
     assert points[:, 2].min() > 0.0
     beside = points[:, 0] > 0.75 * HEAD
@@ -69,10 +69,10 @@ def test_pellets_stick_to_the_bust_and_the_rest_lies_beside_it(
     assert gaps.min() > 3.0 * SPACING
 
 
-def test_every_tool_works_and_is_out_of_the_way_in_the_end(
+def test_every_tool_works_and_ends_far_from_the_clay(
     scene: character_scene.Character,
 ) -> None:
-    """Come near the clay once at least, off it at the first frame and far off at the last."""
+    """Bring each tool near the clay at least once, and keep it away at the first and last frame."""
     points = clay_positions(scene.clay)
     tree = KDTree(len(points))
     for index, place in enumerate(points.tolist()):
@@ -96,24 +96,24 @@ def test_every_tool_works_and_is_out_of_the_way_in_the_end(
     }
 
 
-def test_skin_is_met_from_outside_or_said_to_be_missed(scene: character_scene.Character) -> None:
-    """Find the face in front with a normal that looks out of it, and refuse a miss."""
+def test_ray_hits_skin_or_is_refused(scene: character_scene.Character) -> None:
+    """Find the front of the face with an outward normal, and refuse a ray that misses."""
     skin = Skin(scene.pieces[0])
     place, out = skin.front(0.0, 0.5 * skin.high[2])
     assert place.y == pytest.approx(skin.low[1], abs=0.06) and out.y < -0.3
-    with pytest.raises(ValueError, match="Nothing is met"):
+    with pytest.raises(ValueError, match="hits nothing"):
         skin.front(1.0, 0.1)
 
 
 def test_mirroring_twice_changes_nothing() -> None:
-    """Move a spot to the other side and back."""
+    """Mirror a spot to the other side and back."""
     spot = Vector((0.1, 0.2, 0.3)), Vector((0.6, -0.8, 0.0))
     assert mirrored(spot)[0].x == pytest.approx(-0.1)
     assert mirrored(mirrored(spot)) == spot
 
 
-def test_bow_is_a_closed_rod_as_thick_as_asked() -> None:
-    """Close the rod, wind it outward, and let it meet the clay at height 0."""
+def test_bow_is_a_closed_rod_of_the_given_thickness() -> None:
+    """Close the rod, orient its faces outward, and start it at height 0."""
     vertices, faces = bow_shape(0.013, 0.003, 1.0)
     triangles = np.array(
         [(face[0], face[n], face[n + 1]) for face in faces for n in range(1, len(face) - 1)]

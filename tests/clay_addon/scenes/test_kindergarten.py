@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kindergarten scene: the paper's number of particles, and hands that do what they are for."""
+"""The kindergarten scene has the paper's number of particles, and its hands do their work."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,14 +37,14 @@ class Played:
     everything: np.ndarray
     """All particles at the last frame."""
     diagnostics: Any
-    """Of the solver, then."""
+    """The solver's diagnostics at the last frame."""
 
 
 @pytest.fixture(scope="module")
 def scene() -> Iterator[kindergarten.Kindergarten]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     register()
-    # Beside another scene, whose objects may be called the same.
+    # Beside another scene with an object of the same name.
     bpy.context.collection.objects.link(bpy.data.objects.new("Orange Suzanne", None))
     yield add_scene(bpy.context, "Kindergarten", kindergarten.build)
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -57,7 +57,7 @@ def world_vertices(item: Any) -> np.ndarray:
 
 
 def test_there_are_as_many_particles_as_in_the_paper(scene: kindergarten.Kindergarten) -> None:
-    """Hold 2,114 particles, each piece its share."""
+    """Have 2,114 particles in six pieces."""
     assert len(scene.clay.data.points) == kindergarten.PARTICLE_COUNT == 2114
     assert len(scene.pieces) == 6
 
@@ -88,7 +88,7 @@ def played(scene: kindergarten.Kindergarten) -> Played:
 
 
 def piece_of_particles(scene: kindergarten.Kindergarten) -> np.ndarray:
-    """Index of each particle's piece, told by where its mesh is, -1 for none, shape [N]."""
+    """Index of each particle's piece, by the bounding boxes of the meshes; -1 for none."""
     points = clay_positions(scene.clay)
     owner = np.full(len(points), -1)
     for index, item in enumerate(scene.pieces):
@@ -99,12 +99,12 @@ def piece_of_particles(scene: kindergarten.Kindergarten) -> np.ndarray:
 
 
 def height(points: np.ndarray) -> float:
-    """How high clay reaches, but for a few particles [m]."""
+    """Height of clay, ignoring a few particles [m]."""
     return float(np.percentile(points[:, 2], 98))
 
 
 def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
-    """Leave at least a particle's diameter between particles of two pieces."""
+    """Keep particles of different pieces at least two spacings apart."""
     points = clay_positions(scene.clay)
     colors = clay_colors(scene.clay)
     piece = piece_of_particles(scene)
@@ -116,15 +116,15 @@ def test_pieces_stand_apart(scene: kindergarten.Kindergarten) -> None:
 
 
 def test_clay_stands_on_the_table(scene: kindergarten.Kindergarten) -> None:
-    """Put every particle above the table, and some of every piece down on it."""
+    """Place every particle above the table, and every piece on it."""
     points = clay_positions(scene.clay)
     assert points[:, 2].min() > 0.3 * SPACING
     for item in scene.pieces:
         assert world_vertices(item)[:, 2].min() == pytest.approx(0.0, abs=1e-5)
 
 
-def test_hands_are_closed_and_begin_off_the_clay(scene: kindergarten.Kindergarten) -> None:
-    """Start with closed hands around which there is no clay."""
+def test_hands_are_closed_and_start_away_from_the_clay(scene: kindergarten.Kindergarten) -> None:
+    """Start with hands whose meshes are closed and touch no clay."""
     bpy.context.scene.frame_set(1)
     points = clay_positions(scene.clay)
     assert list(scene.hands) == hand_objects(bpy.context.scene)[::-1]
@@ -137,7 +137,7 @@ def test_hands_are_closed_and_begin_off_the_clay(scene: kindergarten.Kindergarte
 
 
 def test_hands_stay_above_the_table_all_the_time(scene: kindergarten.Kindergarten) -> None:
-    """Reach down to the clay in every hand's path, and never into the wood."""
+    """Let each hand reach down to the clay, but never into the table."""
     lowest = dict.fromkeys((hand.name for hand in scene.hands), np.inf)
     for frame in range(1, kindergarten.FRAME_COUNT + 1, 3):
         bpy.context.scene.frame_set(frame)
@@ -148,8 +148,8 @@ def test_hands_stay_above_the_table_all_the_time(scene: kindergarten.Kindergarte
         assert -0.0005 < height < 0.025, name
 
 
-def test_hands_keep_out_of_each_other(scene: kindergarten.Kindergarten) -> None:
-    """Let no hand pass through another one."""
+def test_hands_never_intersect(scene: kindergarten.Kindergarten) -> None:
+    """Keep the hands from passing through each other."""
     for frame in range(1, kindergarten.FRAME_COUNT + 1, 4):
         bpy.context.scene.frame_set(frame)
         trees = [
@@ -165,8 +165,8 @@ def test_hands_keep_out_of_each_other(scene: kindergarten.Kindergarten) -> None:
     bpy.context.scene.frame_set(1)
 
 
-def test_scene_can_be_simulated_as_it_is(scene: kindergarten.Kindergarten) -> None:
-    """Give the bake everything it needs: clay, table and hands."""
+def test_scene_can_be_simulated_unchanged(scene: kindergarten.Kindergarten) -> None:
+    """Provide everything a bake needs: clay, table and hands."""
     simulation = Simulation(bpy.context)
     assert simulation.spacing == pytest.approx(SPACING)
     assert simulation.time_step == pytest.approx(1 / 60)
@@ -175,7 +175,7 @@ def test_scene_can_be_simulated_as_it_is(scene: kindergarten.Kindergarten) -> No
 
 
 def test_a_palm_flattens_the_red_block(played: Played) -> None:
-    """Press the block to two thirds of its height at most, so that it becomes wider."""
+    """Flatten the block to at most two thirds of its height, and widen it."""
     before, after = played.before["Red block"], played.after["Red block"]
     assert 0.4 < height(after) / height(before) < 0.67
     assert (np.ptp(after[:, :2], axis=0) > 1.15 * np.ptp(before[:, :2], axis=0)).all()
@@ -183,7 +183,7 @@ def test_a_palm_flattens_the_red_block(played: Played) -> None:
 
 
 def test_a_pinch_takes_the_head_off_the_caterpillar(played: Played) -> None:
-    """Leave two pieces, of a hundred and more particles, farther apart than a head."""
+    """Leave two large pieces, farther apart than a head."""
     assert len(pieces(played.before["Green caterpillar"], SPACING)) == 1
     body, head, *crumbs = pieces(played.after["Green caterpillar"], SPACING)
     assert sum(map(len, crumbs)) <= 4
@@ -192,8 +192,8 @@ def test_a_pinch_takes_the_head_off_the_caterpillar(played: Played) -> None:
     assert after[head, 0].min() - after[body, 0].max() > 0.03
 
 
-def test_two_hands_make_one_piece_of_two_blocks(played: Played) -> None:
-    """Push yellow and blue together, from either side alike, and let them stay together."""
+def test_two_hands_merge_two_blocks(played: Played) -> None:
+    """Push yellow and blue together symmetrically, so that they stay together."""
     before, after = (
         np.concatenate([state["Yellow block"], state["Blue block"]])
         for state in (played.before, played.after)
@@ -205,7 +205,7 @@ def test_two_hands_make_one_piece_of_two_blocks(played: Played) -> None:
 
 
 def test_a_finger_leaves_a_dent_in_the_violet_block(played: Played) -> None:
-    """Press the middle of the top 7 to 12 mm in, and leave its corners."""
+    """Press in the middle of the top by 7 to 12 mm, but not its corners."""
     before, after = played.before["Violet block"], played.after["Violet block"]
     top = before[:, 2] > before[:, 2].max() - 0.5 * SPACING
     sunk = (before - after)[top, 2]
@@ -215,8 +215,8 @@ def test_a_finger_leaves_a_dent_in_the_violet_block(played: Played) -> None:
     assert sunk[away > 0.014].max() < 0.004
 
 
-def test_hands_do_no_harm(played: Played) -> None:
-    """Leave Suzanne where she is, and all clay of its volume, on the table and in one world."""
+def test_nothing_else_is_disturbed(played: Played) -> None:
+    """Keep Suzanne in place, the clay's volume constant, and all particles above the table."""
     moved = played.after["Orange Suzanne"] - played.before["Orange Suzanne"]
     assert np.linalg.norm(moved.mean(axis=0)) < 0.001
     assert abs(played.diagnostics.volume_error) < 0.005

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Add > Clay: what each operator leaves is ready to play, and does what it is there to show."""
+"""Add > Clay: what each operator adds is ready to play, and shows what it should."""
 
 import math
 from types import SimpleNamespace
@@ -30,14 +30,14 @@ ADDED = (
 
 
 class Played:
-    """The positions of each clay object as the current scene is played."""
+    """Simulates the current scene and returns the positions of each clay object."""
 
     def __init__(self) -> None:
         self.simulation = Simulation(bpy.context)
         self.simulation.start(bpy.context.evaluated_depsgraph_get(), "cpu")
 
     def after(self, frames: int) -> dict[str, NDArray[np.float64]]:
-        """Go on by some frames: positions [Blender units], shape [N, 3], by name."""
+        """Positions after some more frames [Blender units], shape [N, 3], by object name."""
         for _ in range(frames):
             self.simulation.step()
         positions, start, found = self.simulation.positions().astype(float), 0, {}
@@ -47,8 +47,8 @@ class Played:
         return found
 
 
-def test_menu_lists_what_can_be_added() -> None:
-    """Draw a row for each."""
+def test_menu_lists_everything_that_can_be_added() -> None:
+    """Draw a row for each operator."""
     rows: list[str] = []
     layout = SimpleNamespace(
         operator=lambda name, **_: rows.append(name),
@@ -63,13 +63,13 @@ def test_menu_lists_what_can_be_added() -> None:
 
 @pytest.mark.parametrize("name", [*ADDED, "wheel_scene_add"])
 def test_operators_can_be_undone(studio: Any, name: str) -> None:
-    """Take part in undo and in the panel of the last operation."""
+    """Support undo and the Adjust Last Operation panel."""
     cls = getattr(bpy.types, f"CLAY_OT_{name}")
     assert {"REGISTER", "UNDO"} <= cls.bl_options
 
 
 def test_adding_is_undone(studio: Any) -> None:
-    """Take a block away with one Undo, and a scene with another, back in the one before."""
+    """Undo adding a scene, back to the previous one, and then a block."""
     bpy.ops.ed.undo_push(message="empty")
     bpy.ops.clay.block_add(size=0.03)
     bpy.ops.ed.undo_push(message="block")
@@ -86,7 +86,7 @@ def test_adding_is_undone(studio: Any) -> None:
 
 
 def test_block_stands_on_the_cursor_ready_to_play(studio: Any) -> None:
-    """Make 4,096 particles on a table, which stay where they are when played."""
+    """Make 4,096 particles on a table, which stay in place when played."""
     studio.scene.cursor.location = (0.5, -0.2, 0.1)
     assert bpy.ops.clay.block_add() == {"FINISHED"}
     clay = bpy.context.object
@@ -100,7 +100,7 @@ def test_block_stands_on_the_cursor_ready_to_play(studio: Any) -> None:
 
 
 def test_block_takes_size_spacing_and_material(studio: Any) -> None:
-    """Do as its options say, in a scene whose unit is a centimeter, too."""
+    """Follow the operator's options, even in a scene whose unit is a centimeter."""
     studio.scene.unit_settings.scale_length = 0.01
     assert bpy.ops.clay.block_add(
         size=3.0, spacing=0.5, material_preset="wax", table=False
@@ -116,7 +116,7 @@ def test_block_takes_size_spacing_and_material(studio: Any) -> None:
 
 
 def test_second_block_needs_the_same_spacing_and_no_second_table(studio: Any) -> None:
-    """Refuse another spacing and leave nothing; take that of the clay that is there."""
+    """Refuse another spacing without leaving anything, and use that of the existing clay."""
     bpy.ops.clay.block_add(size=0.03)
     before = set(bpy.data.objects), set(bpy.data.meshes)
     assert "'Clay block' has 5 mm, not 4 mm" in studio.refused(
@@ -130,8 +130,8 @@ def test_second_block_needs_the_same_spacing_and_no_second_table(studio: Any) ->
     assert len(clay_objects(studio.scene)) == 2
 
 
-def test_view_goes_to_what_would_be_a_speck(studio: Any) -> None:
-    """Bring the clay into a view that is too far off, and leave one that shows it."""
+def test_view_frames_what_would_be_tiny(studio: Any) -> None:
+    """Frame the clay in a view that is too far away, and leave one that already shows it."""
     area = next(each for each in bpy.context.screen.areas if each.type == "VIEW_3D")
     region = next(each for each in area.regions if each.type == "WINDOW")
     view = area.spaces.active.region_3d
@@ -153,14 +153,14 @@ def test_view_goes_to_what_would_be_a_speck(studio: Any) -> None:
     ("ratio", "slump"), [(0.05, 0.670), (0.1, 0.478), (0.2, 0.233), (0.3, 0.094), (0.5, 0), (9, 0)]
 )
 def test_expected_slump_is_that_of_pashias(ratio: float, slump: float) -> None:
-    """Follow the published curve, at every scale."""
+    """Follow the published curve at every scale."""
     for height in (0.01, 1.0):
         stress = ratio * 1800.0 * 9.81 * height
         assert expected_slump(stress, 1800.0, 9.81, height) == pytest.approx(slump, abs=6e-4)
 
 
 def test_slump_test_sinks_to_its_ring(studio: Any) -> None:
-    """Sink within a second to where the ring is, and stay there."""
+    """Sink to the ring within a second, and stay there."""
     assert bpy.ops.clay.slump_test_add(height=0.06, spacing=0.005) == {"FINISHED"}
     studio.scene.render.fps = 60
     clay = bpy.context.object
@@ -168,18 +168,18 @@ def test_slump_test_sinks_to_its_ring(studio: Any) -> None:
     assert clay.tactile_clay.material_preset == "CUSTOM"
     ring = studio.scene.objects["Expected slump"]
     assert ring.location.z == pytest.approx(0.06 * (1 - 0.478), rel=0.01)
-    words = studio.scene.objects["Expected slump in words"].data.body
+    words = studio.scene.objects["Expected slump text"].data.body
     assert "0.48 of the height" in words
-    assert "31 mm high" in words
+    assert "at 31 mm" in words
     played = Played()
     top = [np.sort(played.after(each)["Slump test"][:, 2])[-6:].mean() for each in (50, 10)]
-    # Within what the experiments measured: 0.43 for 0.48.
+    # Within the error measured in the experiments: 0.43 instead of 0.48.
     assert top[1] + 0.0025 == pytest.approx(ring.location.z, abs=0.1 * 0.06)
     assert abs(top[1] - top[0]) < 0.01 * 0.06
 
 
 def test_stiff_slump_test_is_expected_to_stand(studio: Any) -> None:
-    """Put the ring at the top where the clay does not flow, and on the ground where it is water."""
+    """Put the ring at the top for clay that does not yield, and expect no slump without gravity."""
     stiff = add_slump_test(bpy.context, height=0.04, yield_stress=1000.0)
     assert stiff.expected == 0.0
     assert stiff.ring.location.z == pytest.approx(0.04)
@@ -191,7 +191,7 @@ def test_stiff_slump_test_is_expected_to_stand(studio: Any) -> None:
 # Scenes of their own ----------------------------------------------------------------------------
 
 
-def test_incline_shows_what_each_constraint_is_for(studio: Any) -> None:
+def test_incline_shows_the_effect_of_each_constraint(studio: Any) -> None:
     """Hold with all, fracture without viscosity, drift without yield, slide without friction."""
     assert bpy.ops.clay.incline_scene_add() == {"FINISHED"}
     scene = bpy.context.scene
@@ -220,8 +220,8 @@ def test_incline_shows_what_each_constraint_is_for(studio: Any) -> None:
     assert creep["No friction"] < 0.01 * spacing
 
 
-def test_scenes_leave_the_one_in_use_alone(studio: Any) -> None:
-    """Go to a new scene each time, with a bake of its own, and touch nothing of the old one."""
+def test_scenes_leave_the_current_one_alone(studio: Any) -> None:
+    """Switch to a new scene with its own cache each time, and change nothing in the old one."""
     clay = studio.clay()
     old = studio.scene
     old.frame_end = 7
@@ -236,7 +236,7 @@ def test_scenes_leave_the_one_in_use_alone(studio: Any) -> None:
 
 
 def test_scene_that_fails_leaves_nothing(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Go back to the scene in use when a scene cannot be built, and report why."""
+    """Return to the previous scene if a scene cannot be built, and report why."""
 
     def fail(context: Any) -> None:
         bpy.ops.mesh.primitive_cube_add()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The potter's wheel scene: what it is made of, and that its clay is carried round and centered."""
+"""The potter's wheel scene has the paper's particles, and the wheel carries its clay around."""
 
 from typing import Any
 
@@ -13,8 +13,8 @@ from tactile_clay.clay_addon.simulate.simulation import Simulation
 from tactile_clay.clay_addon.wheel.wheel import axle_angle, sample
 
 
-def test_scene_holds_the_particles_of_the_paper(studio: Any) -> None:
-    """Fill the lump with 4,169 particles, on a wheel whose pedal is keyed to 100 rpm."""
+def test_scene_has_the_particles_of_the_paper(studio: Any) -> None:
+    """Fill the lump with 4,169 particles, on a wheel keyed to 100 rpm."""
     built = wheel_scene.build(bpy.context)
     scene = studio.scene
     assert len(built.clay.data.points) == 4169
@@ -32,8 +32,8 @@ def test_scene_holds_the_particles_of_the_paper(studio: Any) -> None:
     assert axle_angle(built.wheel) - before == pytest.approx(expected, abs=1e-5)
 
 
-def test_clay_starts_on_the_wheel_and_goes_round_with_it(studio: Any) -> None:
-    """Carry the lump, which is not quite centered, and lose nothing before hands touch it."""
+def test_clay_starts_on_the_wheel_and_turns_with_it(studio: Any) -> None:
+    """Carry the lump, which is not quite centered, and lose no clay before hands touch it."""
     built = wheel_scene.build(bpy.context)
     sample(studio.scene)
     studio.scene.frame_set(1)

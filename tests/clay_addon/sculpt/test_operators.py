@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which events the Sculpt operator handles itself."""
+"""Events that the Sculpt operator handles itself."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Event, Mouse
     ],
 )
 def test_shift_space_opens_the_menu_of_tools(mouse: Mouse, values: Any, opens: bool) -> None:
-    """Open it over a 3D view only, and leave the event to the brush during a stroke."""
+    """Open it only over a 3D view, and leave the event to the brush during a stroke."""
     event = Event("SPACE", **values)
     assert not opens_tool_menu(event, mouse.brush)
     mouse.move(0.0, 0.0)

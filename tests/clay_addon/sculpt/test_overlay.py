@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is drawn of a brush: shading and rings; the drawing itself needs a window."""
+"""Shading and rings of the drawn brush; the drawing itself needs a window."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from tactile_clay.clay_addon.sculpt.overlay import BrushOverlay, ring_points, sh
 from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Mouse
 
 
-def test_normals_are_round_where_the_tool_is() -> None:
-    """Point from a ball's middle, and stay unit vectors on every tool."""
+def test_normals_of_a_ball_are_smooth() -> None:
+    """Point away from the ball's center, as unit vectors."""
     (ball,) = tool_parts(BrushSettings(tool=BY_IDENTIFIER["BALL"], radius=0.01))
     points, normals = shaded_corners(ball)
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
@@ -22,8 +22,8 @@ def test_normals_are_round_where_the_tool_is() -> None:
     assert np.einsum("ij,ij->i", out, normals[low]).min() > 0.97
 
 
-def test_a_ring_lies_across_the_normal() -> None:
-    """Draw the radius around the point, and a part of it for a part."""
+def test_ring_is_perpendicular_to_the_normal() -> None:
+    """Draw a circle around the point, or part of one."""
     normal = np.array((0.6, 0.0, 0.8))
     ring = ring_points(np.array((1.0, 2.0, 3.0)), normal, 0.02)
     assert np.allclose(np.linalg.norm(ring - (1.0, 2.0, 3.0), axis=1), 0.02)
@@ -33,13 +33,13 @@ def test_a_ring_lies_across_the_normal() -> None:
     assert np.linalg.norm(ring[0] - ring[-1]) < 1e-9
 
 
-def test_what_is_drawn_is_what_the_clay_feels(mouse: Mouse) -> None:
-    """Draw each mesh where its pose is, the wire without the plate that holds the clay."""
+def test_tools_are_drawn_at_their_poses(mouse: Mouse) -> None:
+    """Draw each mesh at its pose, and a wire without the plate that holds the clay."""
     mouse.move(0.0, 0.0)
     assert mouse.brush.drawn() == []
     (poses,) = mouse.ticks(1)
-    ((_, pose, felt),) = mouse.brush.drawn()
-    assert pose is poses[0][0] and not felt
+    ((_, pose, enabled),) = mouse.brush.drawn()
+    assert pose is poses[0][0] and not enabled
     mouse.source.set(tool="WIRE", mirror=(True, False, False))
     (poses,) = mouse.ticks(1)
     assert len(poses) == 4
@@ -47,7 +47,7 @@ def test_what_is_drawn_is_what_the_clay_feels(mouse: Mouse) -> None:
 
 
 def test_nothing_is_drawn_in_the_background(mouse: Mouse) -> None:
-    """Register no draw handler without a window, and forget the brush at the end."""
+    """Register no draw handler without a window, and release the brush at the end."""
     overlay = BrushOverlay()
     overlay.show(mouse.brush)
     assert overlay._handle is None and overlay.brush is mouse.brush

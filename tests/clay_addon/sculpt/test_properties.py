@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene keeps about its brush, and how a brush reads it."""
+"""The brush properties of a scene, and how a brush reads them."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -15,8 +15,8 @@ from tactile_clay.clay_addon.sculpt.properties import SceneSource, stamp_fault
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
-def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> None:
-    """Begin with 12 mm whatever a Blender unit is, and read what is chosen in meters."""
+def test_default_radius_is_that_of_a_fingertip_at_any_scale(studio: Any, scale: float) -> None:
+    """Start with 12 mm at any unit scale, and read a set value in meters."""
     studio.scene.unit_settings.scale_length = scale
     brush = studio.scene.tactile_clay_sculpt
     assert brush.radius * scale == pytest.approx(0.012)
@@ -27,8 +27,8 @@ def test_the_radius_is_a_fingertips_in_any_unit(studio: Any, scale: float) -> No
     assert source.read().scale == pytest.approx(scale)
 
 
-def test_a_scene_is_read_as_it_is_now(studio: Any) -> None:
-    """Take up tool, strength, mirrors, color and the clay's spacing and place."""
+def test_current_settings_of_a_scene_are_read(studio: Any) -> None:
+    """Read tool, strength, mirror axes, color, and the clay's spacing and location."""
     clay = studio.clay(location=(0.1, 0.2, 0.3))
     brush = studio.scene.tactile_clay_sculpt
     brush.tool, brush.strength, brush.mirror_y = "KNIFE", 0.25, True
@@ -42,8 +42,8 @@ def test_a_scene_is_read_as_it_is_now(studio: Any) -> None:
     assert np.allclose(settings.mirror_frame[:3, 3], clay.matrix_world.translation)
 
 
-def test_a_mirror_is_the_active_clays(studio: Any) -> None:
-    """Mirror about the active clay object's own planes, turned as it is."""
+def test_mirror_follows_the_active_clay(studio: Any) -> None:
+    """Mirror about the active clay object's local planes."""
     studio.clay("A")
     other = studio.clay("B", location=(0.5, 0.0, 0.0))
     other.rotation_euler.z = 0.3
@@ -54,8 +54,8 @@ def test_a_mirror_is_the_active_clays(studio: Any) -> None:
     assert abs(frame[:3, 0] @ (np.cos(0.3), np.sin(0.3), 0.0)) == pytest.approx(1.0)
 
 
-def test_an_object_is_a_stamp(studio: Any) -> None:
-    """Stamp with a closed mesh, with its own key; say why an open one cannot be."""
+def test_object_can_be_a_stamp(studio: Any) -> None:
+    """Use a closed mesh as stamp, with its own key, and say why an open one cannot be used."""
     brush = studio.scene.tactile_clay_sculpt
     brush.tool = "STAMP"
     source = SceneSource(studio.scene)
@@ -70,8 +70,8 @@ def test_an_object_is_a_stamp(studio: Any) -> None:
     assert "open" in stamp_fault(brush.stamp)
 
 
-def test_a_scene_that_is_gone_leaves_the_last_settings(studio: Any) -> None:
-    """Go on with what was read last when the scene is deleted."""
+def test_deleted_scene_leaves_the_last_settings(studio: Any) -> None:
+    """Keep returning the last settings after the scene is deleted."""
     scene = bpy.data.scenes.new("Other")
     scene.tactile_clay_sculpt.strength = 0.75
     source = SceneSource(scene)
@@ -81,8 +81,8 @@ def test_a_scene_that_is_gone_leaves_the_last_settings(studio: Any) -> None:
     source.write("strength", 0.1)
 
 
-def test_undo_leaves_the_brush_in_the_hand(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the brush over Undo while a session runs, and only then."""
+def test_undo_does_not_change_the_brush(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Preserve the brush across Undo while a session runs, and only then."""
     brush = studio.scene.tactile_clay_sculpt
     for running, expected in ((object(), "WIRE"), (None, "PALM")):
         monkeypatch.setattr(current, "session", running)
@@ -94,7 +94,7 @@ def test_undo_leaves_the_brush_in_the_hand(studio: Any, monkeypatch: pytest.Monk
 
 
 class Layout:
-    """Takes down what is drawn."""
+    """Records what is drawn."""
 
     def __init__(self, drawn: list[str]) -> None:
         self.drawn = drawn
@@ -102,17 +102,17 @@ class Layout:
     def __getattr__(self, name: str) -> Any:
         if name in ("row", "column", "box"):
             return lambda **_: Layout(self.drawn)
-        return self._take
+        return self._record
 
-    def _take(self, *names: Any, text: str = "", **_: Any) -> Any:
+    def _record(self, *names: Any, text: str = "", **_: Any) -> Any:
         self.drawn.append(str(names[-1]) if names else text)
         return SimpleNamespace()
 
 
 @pytest.mark.parametrize("compact", [True, False])
 @pytest.mark.parametrize("tool", [tool.identifier for tool in TOOLS])
-def test_a_tool_shows_what_it_knows(studio: Any, tool: str, compact: bool) -> None:
-    """Offer a color for clay and paint, a stamp for a stamp, and nothing for no tool."""
+def test_each_tool_shows_its_settings(studio: Any, tool: str, compact: bool) -> None:
+    """Offer a color for clay and paint, a mesh for a stamp, and nothing for no tool."""
     brush = studio.scene.tactile_clay_sculpt
     brush.tool = tool
     drawn: list[str] = []
@@ -125,20 +125,18 @@ def test_a_tool_shows_what_it_knows(studio: Any, tool: str, compact: bool) -> No
 
 
 def running_at(factor: float, *, started: bool = True, compiling: float = 0.0) -> Any:
-    """A session that goes at a factor of real time."""
+    """A stand-in for a session that runs at a factor of real time."""
     return SimpleNamespace(
         factor=factor,
         pace=SimpleNamespace(started=started),
-        messages=["Something to say"],
+        messages=["A message"],
         wheels=None,
         compiling_seconds=compiling,
     )
 
 
-def test_the_panel_offers_to_start_or_to_finish(
-    studio: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Show the button that fits, and how fast time goes by."""
+def test_panel_offers_to_start_or_finish(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Show the appropriate button, and the speed of simulated time."""
     studio.clay()
     for running, button in ((None, "clay.sculpt"), (running_at(0.5), "clay.sculpt_finish")):
         monkeypatch.setattr(current, "session", running)
@@ -151,8 +149,8 @@ def test_the_panel_offers_to_start_or_to_finish(
     assert panel.speed_text(running_at(1.0, started=False)) == "Getting ready …"
 
 
-def test_the_status_bar_says_what_goes_on() -> None:
-    """Tell of compiling, of time that goes by slowly, and what the mouse does."""
+def test_status_bar_describes_the_session() -> None:
+    """Mention compilation, slow simulated time, and what the mouse does."""
     brush: Any = SimpleNamespace(status_text=lambda: "Left mouse: Finger")
     assert "Compiling the clay's kernels: 8 s" in operators.status_text(
         running_at(1.0, compiling=8.0), brush
@@ -161,8 +159,8 @@ def test_the_status_bar_says_what_goes_on() -> None:
     assert "at 40 % of real time" in operators.status_text(running_at(0.42), brush)
 
 
-def test_a_tool_is_taken_without_an_undo_step(studio: Any) -> None:
-    """Change tools by an operator that Undo does not know."""
+def test_tool_is_chosen_without_an_undo_step(studio: Any) -> None:
+    """Change tools with an operator that makes no undo step."""
     assert bpy.ops.clay.sculpt_tool(tool="LOOP") == {"FINISHED"}
     assert studio.scene.tactile_clay_sculpt.tool == "LOOP"
     assert "UNDO" not in header.CLAY_OT_sculpt_tool.bl_options

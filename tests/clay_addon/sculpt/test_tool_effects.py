@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What tools do to real clay: a small block on a table, worked by a brush."""
+"""Effects of the tools on simulated clay: a small block on a table, worked by a brush."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ from tactile_clay.tests.clay_addon.core.brush.fake_mouse import SPACING, TICK, M
 
 
 class Bench:
-    """A block of clay of 80 × 50 × 30 mm, and the tool that a brush holds."""
+    """A block of clay of 80 × 50 × 30 mm, and a brush with a tool."""
 
     def __init__(self, tool: str, **settings: Any) -> None:
         self.mouse = Mouse()
@@ -31,17 +31,17 @@ class Bench:
         self.solver = Solver(scene)
 
     def ticks(self, count: int) -> None:
-        """Let the session's ticks pass."""
+        """Simulate some ticks of a session."""
         for _ in range(count):
             poses = self.mouse.brush.poses(TICK, self.mouse.clay)
-            for collider, (pose, felt) in zip(self.colliders, poses, strict=True):
+            for collider, (pose, enabled) in zip(self.colliders, poses, strict=True):
                 collider.set_pose(pose)
-                collider.set_enabled(felt)
+                collider.set_enabled(enabled)
             self.solver.step(TICK)
             self.mouse.clay = self.solver.positions()
 
     def stroke(self, *way: tuple[float, float], ticks: int = 25) -> None:
-        """Press, drag and let go."""
+        """Press, drag and release the mouse."""
         for number, place in enumerate(way):
             self.mouse.at = self.mouse.pixel(*place, self.top)
             self.mouse.send("MOUSEMOVE", "NOTHING")
@@ -53,21 +53,21 @@ class Bench:
         assert not self.mouse.brush.stroking
 
     def height(self, x: float, y: float, radius: float = 0.004) -> float:
-        """Height of the clay at a place [m]."""
+        """Height of the clay at a point of the table [m]."""
         away = np.linalg.norm(self.mouse.clay[:, :2] - np.array((x, y)), axis=1)
         return float(self.mouse.clay[away < radius, 2].max()) + 0.5 * SPACING
 
 
-def test_a_dent_is_as_deep_as_the_strength_says() -> None:
-    """Dent by strength times radius within half a spacing, and not where nothing pressed."""
+def test_depth_of_a_dent_follows_the_strength() -> None:
+    """Dent by strength times radius within half a spacing, and nowhere else."""
     bench = Bench("BALL", strength=0.5, radius=0.016)
     bench.stroke((-0.015, 0.0))
     assert bench.height(-0.015, 0.0) == pytest.approx(0.015 - 0.008, abs=0.5 * SPACING)
     assert bench.height(0.03, 0.0) == pytest.approx(0.015, abs=0.1 * SPACING)
 
 
-def test_a_wire_parts_the_block() -> None:
-    """Leave two pieces, none of which was pushed away, where a wire was drawn across."""
+def test_a_wire_cuts_the_block() -> None:
+    """Cut the block in two with a wire, without pushing the pieces away."""
     bench = Bench("WIRE")
     before = bench.mouse.clay.copy()
     bench.stroke((0.0, -0.05), (0.0, 0.05))
@@ -79,7 +79,7 @@ def test_a_wire_parts_the_block() -> None:
 
 
 def test_a_knife_cuts_and_does_not_push() -> None:
-    """Open a slit to its depth through a light block that lies free, and leave it where it was."""
+    """Cut a slit into a light, loose block, and leave the block in place."""
     bench = Bench("KNIFE", strength=0.5)
     before = bench.mouse.clay.copy()
     bench.stroke((0.0, -0.04), (0.0, -0.03), (0.0, 0.05))
@@ -150,7 +150,7 @@ def test_smoothing_lowers_what_is_uneven_and_leaves_no_mark(
 
 
 def test_a_pinch_raises_clay() -> None:
-    """Pull clay up between two fingers by more than a spacing over the surface."""
+    """Pull clay up between two fingers by more than a spacing above the surface."""
     bench = Bench("PINCH", strength=0.7, radius=0.012)
     bench.mouse.at = bench.mouse.pixel(0.0, 0.0, bench.top)
     bench.mouse.send("MOUSEMOVE", "NOTHING")

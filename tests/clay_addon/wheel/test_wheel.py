@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The potter's wheel in Blender: its angle, on the timeline, in a bake and by the clock."""
+"""The potter's wheel in Blender: its angle on the timeline, in a bake and in a live session."""
 
 import math
 import subprocess
@@ -16,13 +16,13 @@ from tactile_clay.clay_addon.model.clay_scene import SimulationError
 from tactile_clay.clay_addon.model.collider import make_collider
 from tactile_clay.clay_addon.simulate.simulation import Simulation
 from tactile_clay.clay_addon.wheel.live import LiveWheels
-from tactile_clay.clay_addon.wheel.speed import RATE, speed_curve
+from tactile_clay.clay_addon.wheel.speed import RPM, speed_curve
 from tactile_clay.clay_addon.wheel.wheel import axle_angle, refresh
 from tactile_clay.tests.clay_addon.bake.test_bake import frame_bytes
 
 
 def add_wheel(studio: Any, speed: float = 0.0) -> Any:
-    """A disc 10 mm thick whose upper face is at height 0, at 60 frames a second."""
+    """A disc 10 mm thick whose upper face is at height 0, at 60 frames per second."""
     bpy.ops.mesh.primitive_cylinder_add(radius=0.1, depth=0.01, location=(0.0, 0.0, -0.005))
     wheel = make_collider(bpy.context.object, "MESH", 2.0)
     studio.scene.render.fps = 60
@@ -44,48 +44,48 @@ def key_speeds(wheel: Any, keys: dict[int, float], interpolation: str = "LINEAR"
 
 
 def angle_at(wheel: Any, frame: int) -> float:
-    """How far the wheel is turned in the world [rad], within half a turn."""
+    """Angle of the wheel in the world [rad], between -π and π."""
     bpy.context.scene.frame_set(frame)
     matrix = wheel.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world
     return math.atan2(matrix[1][0], matrix[0][0])
 
 
 def apart(first: float, second: float) -> float:
-    """How far two angles are apart, whole turns left out [rad]."""
+    """Difference between two angles, modulo whole turns [rad]."""
     return abs(math.remainder(first - second, math.tau))
 
 
 def test_constant_speed_turns_evenly(studio: Any) -> None:
-    """Turn by ten degrees a frame at 100 rpm, before the range and after it, too."""
+    """Turn by ten degrees per frame at 100 rpm, even before and after the frame range."""
     wheel = add_wheel(studio, 100.0)
     for frame in (-3, 1, 2, 30, 61, 90):
         assert apart(angle_at(wheel, frame), math.radians(10.0 * (frame - 1))) < 1e-5
 
 
 def test_ramp_turns_by_the_area_below_it(studio: Any) -> None:
-    """Turn by half the last speed times the time, and keep the angle after that."""
+    """Integrate linear speed ramps, and keep the angle once the speed is zero."""
     wheel = add_wheel(studio)
     key_speeds(wheel, {1: 0.0, 37: 90.0, 55: 0.0})
     for frame in (2, 19, 37):
-        assert apart(angle_at(wheel, frame), 0.5 * 90 / 36 * RATE * (frame - 1) ** 2 / 60) < 1e-5
-    whole = 0.5 * 90 * RATE * 54 / 60
+        assert apart(angle_at(wheel, frame), 0.5 * 90 / 36 * RPM * (frame - 1) ** 2 / 60) < 1e-5
+    whole = 0.5 * 90 * RPM * 54 / 60
     assert apart(angle_at(wheel, 55), whole) < 1e-5
     assert apart(angle_at(wheel, 61), whole) < 1e-5
 
 
 def test_smooth_speed_agrees_with_a_fine_sum(studio: Any) -> None:
-    """Integrate a Bézier curve with keys between frames as a fine Riemann sum does."""
+    """Integrate a Bézier curve with a key between frames like a fine Riemann sum."""
     wheel = add_wheel(studio)
     curve = key_speeds(wheel, {1: 0.0, 20: 130.0, 50: 20.0}, "BEZIER")
     curve.keyframe_points[1].co.x = 20.4
     curve.update()
     times = np.arange(1.0, 41.0, 0.001) + 0.0005
-    expected = sum(curve.evaluate(time) for time in times) * 0.001 * RATE / 60
+    expected = sum(curve.evaluate(time) for time in times) * 0.001 * RPM / 60
     assert apart(angle_at(wheel, 41), expected) < 1e-4
 
 
 def test_tilted_wheel_spins_about_its_own_axis(studio: Any) -> None:
-    """Keep a wheel's place, scale and axis, whatever its own animation does."""
+    """Keep a wheel's location, scale and axis when it is rotated and scaled."""
     wheel = add_wheel(studio, 100.0)
     wheel.rotation_euler = (0.4, -0.3, 0.2)
     wheel.scale = (1.0, 1.0, 2.0)
@@ -98,13 +98,13 @@ def test_tilted_wheel_spins_about_its_own_axis(studio: Any) -> None:
 
 
 def rotation(angle: float) -> list[list[float]]:
-    """A turn about Z, shape [4, 4]."""
+    """A rotation about Z, shape [4, 4]."""
     cosine, sine = math.cos(angle), math.sin(angle)
     return [[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 
 
 def test_wheel_turns_without_the_extension(studio: Any, tmp_path: Path) -> None:
-    """Play the wheel of a saved file in a Blender that knows nothing of clay."""
+    """Play the wheel of a saved file in a Blender without the extension."""
     wheel = add_wheel(studio, 100.0)
     path = studio.save(tmp_path)
     script = (
@@ -124,8 +124,8 @@ def test_wheel_turns_without_the_extension(studio: Any, tmp_path: Path) -> None:
     assert line.split()[2] == "False"
 
 
-def test_wheel_that_stops_for_good_is_an_object_as_before(studio: Any) -> None:
-    """Leave no constraint and no axle when the speed is set to 0 again."""
+def test_stopped_wheel_becomes_an_ordinary_object(studio: Any) -> None:
+    """Remove constraint and axle when the speed is set back to 0."""
     wheel = add_wheel(studio, 100.0)
     assert len(wheel.constraints) == 1
     objects = set(bpy.data.objects)
@@ -136,7 +136,7 @@ def test_wheel_that_stops_for_good_is_an_object_as_before(studio: Any) -> None:
 
 
 def test_copied_wheel_has_its_own_speed(studio: Any) -> None:
-    """Turn a wheel and its copy each as fast as its own speed says."""
+    """Turn a wheel and its copy at different speeds."""
     wheel = add_wheel(studio, 100.0)
     copy = wheel.copy()
     studio.scene.collection.objects.link(copy)
@@ -146,7 +146,7 @@ def test_copied_wheel_has_its_own_speed(studio: Any) -> None:
 
 
 def test_bake_resumed_in_the_middle_is_the_same(studio: Any, tmp_path: Path) -> None:
-    """Give the same bytes in every frame, clay carried round by a keyed wheel."""
+    """Bake identical bytes in every frame for clay carried around by a keyframed wheel."""
     studio.clay(location=(0.03, 0.0, 0.02))
     key_speeds(add_wheel(studio), {1: 0.0, 10: 100.0})
     studio.scene.frame_end = 10
@@ -158,8 +158,8 @@ def test_bake_resumed_in_the_middle_is_the_same(studio: Any, tmp_path: Path) -> 
     assert frame_bytes(tmp_path / "clay_cache") == frame_bytes(tmp_path / "whole")
 
 
-def test_driven_speed_is_learned_by_the_bake(studio: Any, tmp_path: Path) -> None:
-    """Turn a wheel whose pedal is another object, which is keyed."""
+def test_driven_speed_is_sampled_by_the_bake(studio: Any, tmp_path: Path) -> None:
+    """Turn a wheel whose speed is driven by another, keyframed object."""
     studio.clay(location=(0.0, 0.0, 0.02))
     wheel = add_wheel(studio)
     pedal = bpy.data.objects.new("Pedal", None)
@@ -179,11 +179,11 @@ def test_driven_speed_is_learned_by_the_bake(studio: Any, tmp_path: Path) -> Non
     studio.scene.frame_end = 7
     studio.save(tmp_path)
     bake(bpy.context)
-    assert apart(angle_at(wheel, 7), 0.5 * 0.6 * RATE * 6 / 60) < 1e-6
+    assert apart(angle_at(wheel, 7), 0.5 * 0.6 * RPM * 6 / 60) < 1e-6
 
 
 def test_wheel_too_fast_for_the_frame_rate_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Say so where a wheel would turn by about half a turn in a frame."""
+    """Refuse a wheel that turns by about half a turn per frame."""
     studio.clay(location=(0.0, 0.0, 0.02))
     add_wheel(studio, 300.0)
     studio.scene.render.fps = 10
@@ -196,15 +196,15 @@ def test_wheel_too_fast_for_the_frame_rate_is_refused(studio: Any, tmp_path: Pat
 
 
 def test_endless_plane_cannot_be_a_wheel(studio: Any) -> None:
-    """Say what to do where a flat collider has a speed."""
+    """Refuse a flat collider with a wheel speed."""
     studio.clay(location=(0.0, 0.0, 0.03))
     studio.table().tactile_clay.wheel_speed = 100.0
     with pytest.raises(SimulationError, match="'Table' has a wheel speed, but an endless plane"):
         Simulation(bpy.context)
 
 
-def test_live_wheel_follows_the_pedal_at_once(studio: Any) -> None:
-    """Turn by the clock with the speed of each moment, and stay there when the session ends."""
+def test_live_wheel_follows_speed_changes_immediately(studio: Any) -> None:
+    """Turn in real time at the current speed, and keep the angle when the session ends."""
     wheel = add_wheel(studio, 100.0)
     wheels = LiveWheels(studio.scene)
     wheels.advance(studio.scene, 1 / 60)
@@ -212,7 +212,7 @@ def test_live_wheel_follows_the_pedal_at_once(studio: Any) -> None:
     wheel.tactile_clay.wheel_speed = 300.0
     wheels.advance(studio.scene, 4 / 60)
     assert apart(axle_angle(wheel), math.radians(130.0)) < 1e-5
-    wheels.press_pedal(studio.scene, -150.0)
+    wheels.change_speeds(studio.scene, -150.0)
     wheels.advance(studio.scene, 1 / 60)
     assert apart(axle_angle(wheel), math.radians(145.0)) < 1e-5
     bpy.context.view_layer.update()
@@ -224,7 +224,7 @@ def test_live_wheel_follows_the_pedal_at_once(studio: Any) -> None:
 
 
 def test_live_wheel_starts_from_rest(studio: Any) -> None:
-    """Let a collider become a wheel in the middle of a session."""
+    """Let a collider become a wheel during a session."""
     wheel = add_wheel(studio)
     wheels = LiveWheels(studio.scene)
     wheels.advance(studio.scene, 1 / 60)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A block of clay, a camera that looks at it, and a mouse, all without Blender's window."""
+"""A block of clay, a camera that looks at it, and a mouse, without a Blender window."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TICK = 1.0 / 60.0
 
 
 def block(size: int = 20) -> Any:
-    """A cube of lattice points around the origin; its faces are at half of ``size`` spacings."""
+    """A cube of lattice points around the origin; its faces are ``size / 2`` spacings away."""
     axis = (np.arange(size) - 0.5 * (size - 1)) * SPACING
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
 
@@ -26,7 +26,7 @@ def block(size: int = 20) -> Any:
 def look(
     eye: Any, *, up: Any = (0.0, 1.0, 0.0), width: int = 800, height: int = 600, persp: bool = True
 ) -> tuple[Any, Any]:
-    """Perspective and view matrix of a camera that looks from an eye at the origin."""
+    """Perspective and view matrix of a camera at `eye` that looks at the origin."""
     eye = np.asarray(eye, float)
     back = eye / np.linalg.norm(eye)
     right = np.cross(up, back)
@@ -48,7 +48,7 @@ def look(
 
 @dataclass
 class Event:
-    """The fields of one of Blender's events that a brush reads."""
+    """The fields of a Blender event that a brush reads."""
 
     type: str
     value: str = "PRESS"
@@ -64,14 +64,14 @@ class Event:
 
 @dataclass
 class Source:
-    """Settings that a test holds."""
+    """Settings set by a test."""
 
     settings: BrushSettings = field(
         default_factory=lambda: BrushSettings(radius=0.012, spacing=SPACING)
     )
 
     def read(self) -> BrushSettings:
-        """What is set now."""
+        """The current settings."""
         return self.settings
 
     def write(self, name: str, value: Any) -> None:
@@ -79,7 +79,7 @@ class Source:
         self.settings = replace(self.settings, **{name: value})
 
     def set(self, **values: Any) -> None:
-        """Set anything; a tool by its identifier."""
+        """Set any settings; the tool by its identifier."""
         if "tool" in values:
             values["tool"] = BY_IDENTIFIER[values["tool"]]
         self.settings = replace(self.settings, **values)
@@ -125,7 +125,7 @@ class Mouse:
         self.header = text or ""
 
     def pixel(self, x: float, y: float, z: float = 0.05) -> tuple[int, int]:
-        """The window's pixel that shows a point [m]."""
+        """The pixel of the window that shows a point [m]."""
         from tactile_clay.clay_addon.core.brush.view_region import pointer_in
 
         view = pointer_in(self.context, self.area, self.region, 0, 0).view
@@ -134,22 +134,22 @@ class Mouse:
         return round(seen[0]) + 100, round(seen[1]) + 50
 
     def send(self, kind: str, value: str = "PRESS", **more: Any) -> bool:
-        """Send an event with the mouse where it was last."""
+        """Send an event at the last position of the mouse."""
         event = Event(kind, value, *self.at, **more)
         return self.brush.handle(self.context, event)
 
     at: tuple[int, int] = (0, 0)
 
     def move(self, x: float, y: float, **more: Any) -> bool:
-        """Move the mouse over a point of the block's upper side [m]."""
+        """Move the mouse to a point on the block's top [m]."""
         self.at = self.pixel(x, y)
         return self.send("MOUSEMOVE", "NOTHING", **more)
 
     def press(self, x: float = 0.0, y: float = 0.0, **more: Any) -> bool:
-        """Press the left button there."""
+        """Press the left button at a point on the block's top [m]."""
         self.move(x, y)
         return self.send("LEFTMOUSE", **more)
 
     def ticks(self, count: int) -> list[Any]:
-        """Ask for the poses so many times; all of them."""
+        """The poses at each of some ticks."""
         return [self.brush.poses(TICK, self.clay) for _ in range(count)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tool in the mouse, given events as Blender gives them."""
+"""The brush, given events like Blender's."""
 
 from itertools import pairwise
 
@@ -13,23 +13,23 @@ TOUCHING = [tool.identifier for tool in TOOLS if tool.path != "edit"]
 
 
 def tip(poses: list) -> np.ndarray:
-    """Where the first mesh's origin is [m]."""
+    """Location of the first mesh's origin [m]."""
     return poses[0][0][:3, 3]
 
 
 def test_a_press_goes_down_to_its_depth_and_stays(mouse: Mouse) -> None:
-    """Stop at strength times radius under the surface, however long the button is held."""
+    """Stop at strength times radius below the surface, however long the button is held."""
     assert mouse.press()
     for _ in range(120):
         (poses,) = mouse.ticks(1)
-        # Clay that gives way must not draw the tool after it.
+        # The tool must not follow clay that yields.
         mouse.clay = mouse.clay - np.array((0.0, 0.0, 1e-4), np.float32)
     assert tip(poses) == pytest.approx((0.0, 0.0, 0.05 - 0.5 * 0.012), abs=4e-4)
     assert poses[0][1]
 
 
-def test_the_clay_feels_nothing_before_the_tool_is_clear(mouse: Mouse) -> None:
-    """Set the tool down unfelt outside of the clay, then move it no faster than a hand."""
+def test_a_stroke_starts_disabled_and_clear_of_the_clay(mouse: Mouse) -> None:
+    """Place the disabled tool outside the clay, then move it no faster than a hand."""
     mouse.press()
     way = mouse.ticks(30)
     assert not way[0][0][1] and all(poses[0][1] for poses in way[1:])
@@ -39,7 +39,7 @@ def test_the_clay_feels_nothing_before_the_tool_is_clear(mouse: Mouse) -> None:
 
 
 def test_a_fast_mouse_is_followed_along_the_surface(mouse: Mouse) -> None:
-    """Follow a mouse that jumps over the block at a hand's speed, all the way under the surface."""
+    """Follow a mouse that jumps across the block at a hand's speed, below the surface."""
     mouse.press(-0.03, 0.0)
     mouse.ticks(30)
     mouse.move(0.03, 0.0)
@@ -50,18 +50,18 @@ def test_a_fast_mouse_is_followed_along_the_surface(mouse: Mouse) -> None:
     assert tip(way[-1])[0] == pytest.approx(0.03, abs=7e-4)
 
 
-def test_letting_go_ends_the_stroke_unfelt(mouse: Mouse) -> None:
-    """End soon after the button is up, and leave the clay alone then."""
+def test_releasing_the_button_ends_the_stroke(mouse: Mouse) -> None:
+    """End soon after the button is up, and disable the tool."""
     mouse.press()
     mouse.ticks(30)
     assert mouse.send("LEFTMOUSE", "RELEASE")
     mouse.ticks(2)
     assert not mouse.brush.stroking
-    assert not any(felt for poses in mouse.ticks(3) for _, felt in poses)
+    assert not any(enabled for poses in mouse.ticks(3) for _, enabled in poses)
 
 
-def test_a_click_is_a_whole_dent(mouse: Mouse) -> None:
-    """Reach the depth when press and release come between two ticks, then let go."""
+def test_a_click_makes_a_full_dent(mouse: Mouse) -> None:
+    """Reach the depth even if press and release come between two ticks, then end the stroke."""
     mouse.press()
     mouse.send("LEFTMOUSE", "RELEASE")
     deepest = 1.0
@@ -73,7 +73,7 @@ def test_a_click_is_a_whole_dent(mouse: Mouse) -> None:
 
 
 def test_pressure_sets_the_depth(mouse: Mouse) -> None:
-    """Go half as deep at half the pressure of a pen, unless pressure does not count."""
+    """Go half as deep at half the pen pressure, unless pressure is not used."""
     mouse.press(is_tablet=True, pressure=1.0)
     mouse.move(0.001, 0.0, is_tablet=True, pressure=0.5)
     assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(0.05 - 0.003, abs=2e-4)
@@ -86,8 +86,8 @@ def test_pressure_sets_the_depth(mouse: Mouse) -> None:
     assert tip(mouse.ticks(60)[-1])[2] == pytest.approx(0.044, abs=2e-4)
 
 
-def test_the_wheel_goes_deeper_in_a_stroke_only(mouse: Mouse) -> None:
-    """Take the wheel during a stroke, and leave it to the view otherwise."""
+def test_the_wheel_changes_the_depth_only_in_a_stroke(mouse: Mouse) -> None:
+    """Consume wheel events during a stroke, and leave them to the view otherwise."""
     mouse.move(0.0, 0.0)
     assert not mouse.send("WHEELDOWNMOUSE")
     mouse.press()
@@ -96,8 +96,8 @@ def test_the_wheel_goes_deeper_in_a_stroke_only(mouse: Mouse) -> None:
     assert tip(mouse.ticks(40)[-1])[2] == pytest.approx(0.044 - 0.3 * 0.012, abs=2e-4)
 
 
-def test_beside_the_clay_the_tool_goes_on_at_its_depth(mouse: Mouse) -> None:
-    """Keep to the plane of the view where the ray misses, without a jump."""
+def test_beside_the_clay_the_tool_stays_at_its_depth(mouse: Mouse) -> None:
+    """Continue parallel to the view where the ray misses, without a jump."""
     mouse.press(0.03, 0.0)
     mouse.ticks(30)
     for x in np.linspace(0.03, 0.09, 20):
@@ -111,7 +111,7 @@ def test_beside_the_clay_the_tool_goes_on_at_its_depth(mouse: Mouse) -> None:
 
 
 def test_over_a_gap_the_tool_is_lifted(mouse: Mouse) -> None:
-    """Never sweep from one surface to another far below: be unfelt, and clear, in between."""
+    """Do not sweep to a surface far below, but lift the disabled tool in between."""
     low = mouse.clay - np.array((0.0, 0.0, 0.2), np.float32)
     low = low[low[:, 0] > 0.0]
     mouse.clay = np.concatenate((mouse.clay[mouse.clay[:, 0] < 0.0], low))
@@ -131,7 +131,7 @@ def test_over_a_gap_the_tool_is_lifted(mouse: Mouse) -> None:
 
 
 def test_the_tool_turns_along_the_stroke(mouse: Mouse) -> None:
-    """Point +Z out of the clay and +Y along the way, there or back."""
+    """Point +Z out of the clay and +Y along the stroke, in either direction."""
     mouse.source.set(tool="KNIFE")
     mouse.press(-0.03, 0.0)
     for x in np.linspace(-0.03, 0.03, 40):
@@ -145,7 +145,7 @@ def test_the_tool_turns_along_the_stroke(mouse: Mouse) -> None:
 
 @pytest.mark.parametrize("tool", TOUCHING)
 def test_each_tool_has_a_pose_for_each_mesh(mouse: Mouse, tool: str) -> None:
-    """Pair meshes and poses, mirrored ones too, with finite numbers throughout a stroke."""
+    """Return a finite pose for each mesh, including mirrored ones, throughout a stroke."""
     mouse.source.set(tool=tool, mirror=(True, True, False))
     meshes = mouse.brush.meshes()
     key = mouse.brush.mesh_key
@@ -155,7 +155,7 @@ def test_each_tool_has_a_pose_for_each_mesh(mouse: Mouse, tool: str) -> None:
         for poses in mouse.ticks(2):
             assert len(poses) == len(meshes) and len(meshes) % 4 == 0
             assert all(np.isfinite(pose).all() for pose, _ in poses)
-    assert any(felt for _, felt in poses)
+    assert any(enabled for _, enabled in poses)
     assert mouse.brush.mesh_key == key
     for mesh in meshes:
         corners = mesh.vertices[mesh.faces]
@@ -164,21 +164,21 @@ def test_each_tool_has_a_pose_for_each_mesh(mouse: Mouse, tool: str) -> None:
 
 
 def test_a_mirrored_copy_is_its_mirror_image(mouse: Mouse) -> None:
-    """Mirror vertices about the frame's plane, wherever that is."""
+    """Mirror vertices about the frame's plane, wherever it is."""
     frame = np.eye(4)
     frame[0, 3] = 0.01
     mouse.source.set(mirror=(True, False, False), mirror_frame=frame)
     mouse.press(0.035, 0.01)
-    (first, _), (second, felt) = mouse.ticks(30)[-1]
+    (first, _), (second, enabled) = mouse.ticks(30)[-1]
     points = mouse.brush.meshes()[0].vertices
     one = points @ first[:3, :3].T + first[:3, 3]
     other = points @ second[:3, :3].T + second[:3, 3]
-    assert felt
+    assert enabled
     assert np.allclose(other, one * (-1.0, 1.0, 1.0) + (0.02, 0.0, 0.0), atol=1e-12)
 
 
 def test_on_the_mirror_plane_there_is_one_tool(mouse: Mouse) -> None:
-    """Bring a tool that is near the plane onto it, and let its copy go unfelt."""
+    """Snap a tool near the plane onto it, and disable its copy."""
     mouse.source.set(mirror=(True, False, False))
     mouse.press(0.002, 0.0)
     first, second = mouse.ticks(30)[-1]
@@ -187,7 +187,7 @@ def test_on_the_mirror_plane_there_is_one_tool(mouse: Mouse) -> None:
 
 
 def test_a_wire_lies_along_the_view(mouse: Mouse) -> None:
-    """Reach through the clay along the ray of the cursor, and cut where it is drawn."""
+    """Extend the wire through the clay along the cursor's ray."""
     mouse.source.set(tool="WIRE")
     assert mouse.press(-0.09, 0.0)
     for x in np.linspace(-0.09, 0.09, 60):
@@ -203,7 +203,7 @@ def test_a_wire_lies_along_the_view(mouse: Mouse) -> None:
 
 
 def test_a_pinch_closes_holds_and_pulls(mouse: Mouse) -> None:
-    """Go in apart, close on the clay, then follow the wheel away from the surface."""
+    """Move in while open, close on the clay, then pull away from the surface with the wheel."""
     mouse.source.set(tool="PINCH")
     mouse.press()
     gaps = [np.linalg.norm(tip(p) - tip(p[1:])) for p in mouse.ticks(120)]
@@ -217,7 +217,7 @@ def test_a_pinch_closes_holds_and_pulls(mouse: Mouse) -> None:
 
 
 def test_a_pinch_closes_before_it_pulls(mouse: Mouse) -> None:
-    """Go in and close first, however early the wheel is turned."""
+    """Move in and close first, however early the wheel is turned."""
     mouse.source.set(tool="PINCH")
     mouse.press()
     mouse.ticks(2)
@@ -231,7 +231,7 @@ def test_a_pinch_closes_before_it_pulls(mouse: Mouse) -> None:
 
 
 def test_shift_pulls_a_pinch_away_from_the_surface(mouse: Mouse) -> None:
-    """Move along the normal while Shift is held, and not jump when it is let go."""
+    """Move along the normal while Shift is held, without a jump when it is released."""
     mouse.source.set(tool="PINCH")
     mouse.press()
     before = mouse.ticks(120)[-1]
@@ -244,7 +244,7 @@ def test_shift_pulls_a_pinch_away_from_the_surface(mouse: Mouse) -> None:
 
 
 def test_a_stamp_stays_where_it_was_set_down(mouse: Mouse) -> None:
-    """Press straight in, wherever the mouse goes."""
+    """Press straight in, wherever the mouse moves."""
     mouse.source.set(tool="STAMP")
     mouse.press(0.01, 0.01)
     first = tip(mouse.ticks(1)[0])
@@ -253,7 +253,7 @@ def test_a_stamp_stays_where_it_was_set_down(mouse: Mouse) -> None:
 
 
 def test_a_rolling_pin_rolls(mouse: Mouse) -> None:
-    """Turn by the way over the radius, so that what touches the clay stands still."""
+    """Turn by distance over radius, so that the pin rolls without slipping."""
     mouse.source.set(tool="ROLLING_PIN")
     mouse.press(0.0, -0.02)
     before = mouse.ticks(80)[-1][0][0]
@@ -264,14 +264,14 @@ def test_a_rolling_pin_rolls(mouse: Mouse) -> None:
     turn = after[:3, :3] @ before[:3, :3].T
     angle = np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0))
     assert angle == pytest.approx(2 * np.pi - 0.04 / 0.012, abs=0.05)
-    # Its axis has gone along with the mouse, at the same height.
+    # Its axis has moved with the mouse, at the same height.
     middle = np.array((0.0, 0.0, 0.012, 1.0))
     assert (after @ middle)[1] == pytest.approx(0.02, abs=1e-3)
     assert (after @ middle)[2] == pytest.approx((before @ middle)[2], abs=2e-4)
 
 
 def test_a_changed_radius_scales_poses_and_keeps_meshes(mouse: Mouse) -> None:
-    """Need no other meshes for another radius, but for blades."""
+    """Keep the meshes when the radius changes, except for blades."""
     mouse.move(0.0, 0.0)
     meshes, key = mouse.brush.meshes(), mouse.brush.mesh_key
     mouse.source.set(radius=0.024)
@@ -284,13 +284,13 @@ def test_a_changed_radius_scales_poses_and_keeps_meshes(mouse: Mouse) -> None:
     assert mouse.brush.mesh_key != key
 
 
-def test_escape_lets_go_of_a_stroke_and_then_reaches_the_operator(mouse: Mouse) -> None:
-    """Consume Esc during a stroke only."""
+def test_escape_ends_a_stroke_and_then_reaches_the_operator(mouse: Mouse) -> None:
+    """Consume Esc only during a stroke."""
     mouse.move(0.0, 0.0)
     assert not mouse.send("ESC")
     mouse.press()
     mouse.ticks(5)
     assert mouse.send("ESC")
     assert not mouse.brush.stroking
-    assert not any(felt for _, felt in mouse.ticks(1)[0])
+    assert not any(enabled for _, enabled in mouse.ticks(1)[0])
     assert not mouse.send("ESC")

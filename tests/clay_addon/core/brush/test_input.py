@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which events a brush takes, what it leaves to Blender, and what its keys do."""
+"""Which events a brush consumes, which it leaves to Blender, and what its keys do."""
 
 import numpy as np
 import pytest
@@ -24,23 +24,23 @@ from tactile_clay.tests.clay_addon.core.brush.fake_mouse import Mouse
         ("TIMER", {}),
     ],
 )
-def test_blender_keeps_its_own(mouse: Mouse, kind: str, more: dict) -> None:
-    """Leave navigation, Undo and selection alone."""
+def test_blenders_own_events_are_not_consumed(mouse: Mouse, kind: str, more: dict) -> None:
+    """Leave navigation, Undo and selection to Blender."""
     mouse.move(0.0, 0.0)
     assert not mouse.send(kind, **more)
     assert not mouse.brush.stroking
 
 
-def test_a_timer_is_nobodys_during_a_stroke(mouse: Mouse) -> None:
-    """Let the session's timer through while the button is held, and nothing that turns the view."""
+def test_timer_events_pass_through_during_a_stroke(mouse: Mouse) -> None:
+    """Pass on the session's timer while the button is held, but not view navigation."""
     mouse.press()
     assert not mouse.send("TIMER", "NOTHING")
     assert mouse.send("MIDDLEMOUSE")
 
 
 @pytest.mark.parametrize("place", ["panel", "gizmo", "button", "outside"])
-def test_only_the_view_itself_is_worked_in(mouse: Mouse, place: str) -> None:
-    """Leave panels, the gizmo, its buttons and other editors their clicks."""
+def test_clicks_outside_the_view_are_not_consumed(mouse: Mouse, place: str) -> None:
+    """Leave clicks on panels, the gizmo, its buttons and other editors to Blender."""
     mouse.at = {
         "panel": (850, 300), "gizmo": (760, 600), "button": (775, 500), "outside": (50, 20)
     }[place]  # fmt: skip
@@ -50,7 +50,7 @@ def test_only_the_view_itself_is_worked_in(mouse: Mouse, place: str) -> None:
 
 
 def test_each_quarter_of_a_quad_view_has_its_own_ray(mouse: Mouse) -> None:
-    """Work in the quarter under the mouse."""
+    """Use the quarter under the mouse."""
     from copy import copy
 
     mouse.region.width = mouse.region.height = 300
@@ -66,8 +66,8 @@ def test_each_quarter_of_a_quad_view_has_its_own_ray(mouse: Mouse) -> None:
         assert cursor.point == pytest.approx((0.0, 0.0, 0.05), abs=2e-3)
 
 
-def test_without_a_tool_the_mouse_is_blenders(mouse: Mouse) -> None:
-    """Take no press, and draw nothing, with the tool that is none."""
+def test_without_a_tool_nothing_is_consumed(mouse: Mouse) -> None:
+    """Consume no press and draw nothing if no tool is chosen."""
     mouse.source.set(tool="NONE")
     assert not mouse.press()
     assert mouse.ticks(1) == [[]]
@@ -75,7 +75,7 @@ def test_without_a_tool_the_mouse_is_blenders(mouse: Mouse) -> None:
 
 
 def test_a_press_in_empty_space_pushes_from_the_side(mouse: Mouse) -> None:
-    """Begin in the plane of the view abreast of the nearest clay."""
+    """Start beside the clay, at the depth of the nearest particle."""
     assert mouse.press(-0.08, 0.0)
     mouse.ticks(10)
     poses = mouse.ticks(20)[-1]
@@ -84,7 +84,7 @@ def test_a_press_in_empty_space_pushes_from_the_side(mouse: Mouse) -> None:
 
 
 def test_f_changes_the_radius_as_blenders_brushes_do(mouse: Mouse) -> None:
-    """Follow the mouse by the size of its pixels, show the number, confirm with the button."""
+    """Scale the radius with the mouse travel, show the value, and confirm with the button."""
     mouse.move(0.0, 0.0)
     mouse.ticks(1)
     assert mouse.send("F")
@@ -93,7 +93,7 @@ def test_f_changes_the_radius_as_blenders_brushes_do(mouse: Mouse) -> None:
     assert mouse.source.settings.radius == pytest.approx(0.018, rel=0.05)
     cursor = mouse.brush.cursor
     mouse.ticks(1)
-    # The ring stays where it was while its size is chosen.
+    # The ring stays in place while its size is adjusted.
     assert mouse.brush.cursor is cursor
     assert mouse.send("LEFTMOUSE")
     assert mouse.header == "" and mouse.brush.adjustment is None
@@ -102,8 +102,8 @@ def test_f_changes_the_radius_as_blenders_brushes_do(mouse: Mouse) -> None:
 
 
 @pytest.mark.parametrize("key", ["ESC", "RIGHTMOUSE"])
-def test_a_value_can_be_taken_back(mouse: Mouse, key: str) -> None:
-    """Cancel F and Shift F to what was set before."""
+def test_an_adjustment_can_be_canceled(mouse: Mouse, key: str) -> None:
+    """Restore the previous value when F or Shift F is canceled."""
     mouse.move(0.0, 0.0)
     mouse.send("F", shift=True)
     mouse.move(0.05, 0.0)
@@ -114,7 +114,7 @@ def test_a_value_can_be_taken_back(mouse: Mouse, key: str) -> None:
 
 
 def test_brackets_step_the_radius(mouse: Mouse) -> None:
-    """Make the brush larger and smaller by one factor."""
+    """Make the brush larger and smaller by the same factor."""
     mouse.move(0.0, 0.0)
     assert mouse.send("RIGHT_BRACKET")
     assert mouse.source.settings.radius == pytest.approx(0.012 * 1.1)
@@ -123,7 +123,7 @@ def test_brackets_step_the_radius(mouse: Mouse) -> None:
 
 
 def test_settings_wait_for_the_end_of_a_stroke(mouse: Mouse) -> None:
-    """Keep tool and meshes in a stroke, whatever is set meanwhile."""
+    """Keep tool and meshes during a stroke, even if settings change."""
     mouse.press()
     mouse.ticks(5)
     key = mouse.brush.mesh_key
@@ -135,8 +135,8 @@ def test_settings_wait_for_the_end_of_a_stroke(mouse: Mouse) -> None:
 
 
 @pytest.mark.parametrize("tool", ["ADD", "REMOVE", "PAINT"])
-def test_edits_come_as_dabs_along_the_way(mouse: Mouse, tool: str) -> None:
-    """Dab at even distances, once a place, with a mirror image for each."""
+def test_edits_are_dabs_along_the_stroke(mouse: Mouse, tool: str) -> None:
+    """Dab once at even distances, with a mirror image of each dab."""
     mouse.source.set(tool=tool, mirror=(True, False, False), strength=0.75)
     mouse.press(0.01, -0.02)
     mouse.ticks(3)
@@ -159,8 +159,8 @@ def test_edits_come_as_dabs_along_the_way(mouse: Mouse, tool: str) -> None:
     assert not mouse.brush.stroking
 
 
-def test_ctrl_turns_adding_into_taking_away(mouse: Mouse) -> None:
-    """Invert as Blender's brushes do, but never paint."""
+def test_ctrl_inverts_adding(mouse: Mouse) -> None:
+    """Invert add and remove as Blender's brushes do, but not paint."""
     mouse.source.set(tool="ADD")
     assert mouse.press(ctrl=True)
     mouse.ticks(1)
@@ -171,7 +171,7 @@ def test_ctrl_turns_adding_into_taking_away(mouse: Mouse) -> None:
 
 
 def test_positions_are_in_blender_units(mouse: Mouse) -> None:
-    """Find the same place in a scene whose unit is a centimeter."""
+    """Find the same point in a scene whose unit is a centimeter."""
     mouse.press()
     meters = mouse.ticks(30)[-1][0][0]
     small = Mouse()
@@ -189,14 +189,14 @@ def test_positions_are_in_blender_units(mouse: Mouse) -> None:
 
 
 def test_events_wait_for_the_tick(mouse: Mouse) -> None:
-    """Queue a press and begin its stroke with the clay of the next tick, once."""
+    """Queue a press and start its stroke once, with the clay of the next tick."""
     mouse.press()
     assert mouse.brush.stroking
-    assert not any(felt for _, _, felt in mouse.brush.drawn())
+    assert not any(enabled for _, _, enabled in mouse.brush.drawn())
     mouse.clay = mouse.clay + np.array((0.0, 0.0, 0.01), np.float32)
     mouse.ticks(1)
     assert mouse.brush.cursor is not None
-    # The surface of the clay that was handed over, not of the clay before.
+    # The surface is that of the clay at the tick, not at the press.
     assert mouse.brush.cursor.point[2] == pytest.approx(0.06, abs=0.002)
     mouse.send("LEFTMOUSE", "RELEASE")
     mouse.ticks(60)

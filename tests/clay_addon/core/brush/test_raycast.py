@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays that meet clay given by its particles."""
+"""Casting rays against clay given by its particles."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def ball() -> ParticleSurface:
 
 
 def test_a_box_is_hit_on_its_faces() -> None:
-    """Meet a flat face within a hundredth of a spacing, whichever gap the ray falls in."""
+    """Hit a flat face within a hundredth of a spacing, wherever the ray falls."""
     surface = ParticleSurface(block(20), SPACING)
     random = np.random.default_rng(1)
     for axis in range(3):
@@ -26,7 +26,7 @@ def test_a_box_is_hit_on_its_faces() -> None:
             out = np.zeros(3)
             out[axis] = sign
             for _ in range(20):
-                # The middle of the face, where no edge is near.
+                # The middle of the face, away from its edges.
                 target = random.uniform(-0.03, 0.03, 3)
                 target[axis] = sign * 0.05
                 eye = target + out + random.uniform(-0.4, 0.4, 3)
@@ -39,7 +39,7 @@ def test_a_box_is_hit_on_its_faces() -> None:
 
 
 def test_a_ball_is_hit_from_all_sides(ball: ParticleSurface) -> None:
-    """Meet a sphere of lattice points within the half spacing that they resolve it to."""
+    """Hit a sphere of lattice points within about half a spacing, their resolution."""
     random = np.random.default_rng(2)
     for _ in range(100):
         out = random.normal(size=3)
@@ -51,7 +51,7 @@ def test_a_ball_is_hit_from_all_sides(ball: ParticleSurface) -> None:
 
 
 def test_a_ray_beside_the_clay_misses(ball: ParticleSurface) -> None:
-    """Miss what is beside the ray, or behind its origin."""
+    """Miss clay that is beside the ray or behind its origin."""
     assert ball.hit((1.0, 0.06, 0.0), (-1.0, 0.0, 0.0), 0.012) is None
     assert ball.hit((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.012) is None
     assert ParticleSurface(np.zeros((0, 3)), SPACING).hit((1, 0, 0), (-1, 0, 0), 0.012) is None
@@ -80,8 +80,8 @@ def test_a_level_surface_has_no_bumps() -> None:
     assert level.normal[2] > 0.99
 
 
-def test_clay_that_stands_around_is_seen() -> None:
-    """Tell how high clay reaches beside a point, and overlook what is too high or too far."""
+def test_height_of_surrounding_clay() -> None:
+    """Measure how high clay reaches around a point, ignoring what is too high or too far."""
     pillar = block(4) + np.array((0.02, 0.0, 0.06))
     surface = ParticleSurface(np.concatenate((block(20), pillar)), SPACING)
     up = (0.0, 0.0, 1.0)
@@ -91,7 +91,7 @@ def test_clay_that_stands_around_is_seen() -> None:
 
 
 def test_bad_input_is_refused() -> None:
-    """Name what is wrong with positions and spacing."""
+    """Say what is wrong with positions and spacing."""
     with pytest.raises(ValueError, match=r"\(N, 3\)"):
         ParticleSurface(np.zeros((4, 2)), SPACING)
     with pytest.raises(ValueError, match="spacing"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays out of a view and back."""
+"""Projection between a view and the scene."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from tactile_clay.tests.clay_addon.core.brush.fake_mouse import look
 
 @pytest.mark.parametrize("perspective", [True, False])
 @pytest.mark.parametrize("scale", [1.0, 0.01])
-def test_a_ray_goes_through_what_its_pixel_shows(perspective: bool, scale: float) -> None:
-    """Pass within a micrometer of a point that was projected, in front of the origin."""
+def test_a_ray_passes_through_what_its_pixel_shows(perspective: bool, scale: float) -> None:
+    """Pass within a micrometer of a projected point, in front of the origin."""
     matrices = look((0.5, -0.7, 0.4), up=(0.0, 0.0, 1.0), persp=perspective)
     view = View(*matrices, perspective, width=800, height=600, scale=scale)
     random = np.random.default_rng(5)
@@ -27,11 +27,11 @@ def test_a_ray_goes_through_what_its_pixel_shows(perspective: bool, scale: float
 
 @pytest.mark.parametrize("perspective", [True, False])
 def test_a_pixel_has_the_size_of_what_it_shows(perspective: bool) -> None:
-    """Find neighboring pixels' rays apart by the size of a pixel."""
+    """Space the rays of neighboring pixels by the size of a pixel."""
     matrices = look((0.0, 0.0, 0.6), persp=perspective)
     view = View(*matrices, perspective, width=800, height=600, scale=1.0)
     plane = np.array((0.0, 0.0, 0.05)), np.array((0.0, 0.0, 1.0))
-    first, second = (view.ray(x, 300.0).meet_plane(*plane) for x in (400.0, 410.0))
+    first, second = (view.ray(x, 300.0).intersect_plane(*plane) for x in (400.0, 410.0))
     assert first is not None and second is not None
     assert np.linalg.norm(second - first) == pytest.approx(10.0 * view.pixel(first), rel=1e-6)
 
@@ -43,10 +43,10 @@ def test_the_axes_are_those_of_the_screen() -> None:
     assert view.project((0.0, 0.0, 1.0)) is None
 
 
-def test_a_ray_along_a_plane_never_meets_it() -> None:
-    """Give no point for a plane that is parallel or behind."""
+def test_a_parallel_ray_does_not_intersect_a_plane() -> None:
+    """Return no point for a plane that is parallel or behind."""
     view = View(*look((0.0, 0.0, 0.6)), True, width=800, height=600, scale=1.0)
     ray = view.ray(400.0, 300.0)
     up = np.array((0.0, 0.0, 1.0))
-    assert ray.meet_plane(np.array((0.0, 0.0, 1.0)), up) is None
-    assert ray.meet_plane(np.zeros(3), np.array((1.0, 0.0, 0.0))) is None
+    assert ray.intersect_plane(np.array((0.0, 0.0, 1.0)), up) is None
+    assert ray.intersect_plane(np.zeros(3), np.array((1.0, 0.0, 0.0))) is None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay that a session saves by itself, and what is taken up of it."""
+"""Autosave of a session's clay, and its recovery."""
 
 from pathlib import Path
 from typing import Any
@@ -13,15 +13,15 @@ from tactile_clay.clay_addon.sculpt.live.autosave import Autosave, autosave_path
 
 
 def pressed(studio: Any, clay: Any) -> Any:
-    """Flatten a block a little, as a session would; its points in its own coordinates."""
+    """Flatten a block, as a session might; returns its points in local coordinates."""
     local = studio.points(clay) - np.array(clay.matrix_world.translation, np.float32)
     local[:, 2] *= 0.5
     write_points(clay, local)
     return local
 
 
-def test_clay_is_taken_up_when_its_file_is_opened(studio: Any, tmp_path: Path) -> None:
-    """Recover the autosaved clay, and say so."""
+def test_clay_is_recovered_when_its_file_is_opened(studio: Any, tmp_path: Path) -> None:
+    """Recover the autosaved clay, and report it."""
     clay = studio.clay()
     path = studio.save(tmp_path)
     saved = Autosave()
@@ -38,8 +38,8 @@ def test_clay_is_taken_up_when_its_file_is_opened(studio: Any, tmp_path: Path) -
     assert "Clay was recovered from its autosave" in recovery.message
 
 
-def test_file_that_was_saved_later_is_left_alone(studio: Any, tmp_path: Path) -> None:
-    """Drop what is older than the file."""
+def test_newer_file_is_left_alone(studio: Any, tmp_path: Path) -> None:
+    """Delete an autosave that is older than the file."""
     clay = studio.clay()
     path = studio.save(tmp_path)
     saved = Autosave()
@@ -55,7 +55,7 @@ def test_file_that_was_saved_later_is_left_alone(studio: Any, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "text"])
-def test_damaged_file_is_told_of_and_changes_nothing(
+def test_damaged_autosave_is_reported_and_changes_nothing(
     studio: Any, tmp_path: Path, damage: str
 ) -> None:
     """Leave the clay as it is in the file."""
@@ -77,8 +77,8 @@ def test_damaged_file_is_told_of_and_changes_nothing(
         recover(bpy.context, beside)
 
 
-def test_clay_with_other_many_points_is_taken_up(studio: Any, tmp_path: Path) -> None:
-    """Take up clay that was added during the session."""
+def test_clay_with_another_number_of_points_is_recovered(studio: Any, tmp_path: Path) -> None:
+    """Recover clay that was added during the session."""
     clay = studio.clay()
     path = studio.save(tmp_path)
     from tactile_clay.clay_addon.model.clay_points import replace_points
@@ -92,10 +92,10 @@ def test_clay_with_other_many_points_is_taken_up(studio: Any, tmp_path: Path) ->
     assert len(bpy.data.objects["Clay"].data.points) == 100
 
 
-def test_file_that_was_never_saved_is_told_of(studio: Any) -> None:
-    """Say that a crash would take the clay."""
+def test_file_that_was_never_saved_is_reported(studio: Any) -> None:
+    """Say that a crash would lose the clay."""
     studio.clay()
     saved = Autosave()
     saved.begin(studio.scene)
-    assert "Save the .blend once" in saved.problem
+    assert "a crash loses the clay" in saved.problem
     saved.close()

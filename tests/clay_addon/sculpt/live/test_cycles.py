@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting and ending many current."""
+"""Starting and ending many sessions."""
 
 import gc
 import resource
@@ -13,13 +13,13 @@ from tactile_clay.clay_addon.sculpt.live.current import current
 
 
 def handler_count() -> int:
-    """Functions that Blender calls."""
+    """Number of registered application handlers."""
     lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]
     return sum(len(found) for found in lists if isinstance(found, list))
 
 
 def test_three_hundred_sessions_leave_nothing_behind(studio: Any, tmp_path: Path) -> None:
-    """Keep memory, threads, handlers and what is in the file as they are."""
+    """Leave memory, threads, handlers and data-blocks unchanged."""
     studio.clay(location=(0.0, 0.0, 0.02))
     studio.table()
     studio.save(tmp_path)
@@ -46,5 +46,5 @@ def test_three_hundred_sessions_leave_nothing_behind(studio: Any, tmp_path: Path
         cycle()
     grown = peak() - memory
     assert held() == before
-    # A session of this clay holds some ten megabytes: one in fifty that stayed would show.
+    # A session of this clay takes about ten megabytes: leaking one in fifty would show.
     assert grown < 60e6, f"{grown / 1e6:.0f} MB in 260 sessions"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The live session, ticked by hand against a clock of its own."""
+"""The live session, ticked by the tests with their own clock."""
 
 import threading
 import time
@@ -27,10 +27,10 @@ from tactile_clay.clay_addon.sculpt.live.surface import OBJECT_NAME
 
 @dataclass
 class Finger:
-    """A tool in the mouse's place: a ball that is moved by the test."""
+    """Replaces the mouse's tools: a ball that is moved by the test."""
 
     height: float = 0.1
-    """Of its middle [m]."""
+    """Height of its center [m]."""
     enabled: bool = False
     stroking: bool = False
     mesh_key: Any = "ball"
@@ -38,30 +38,30 @@ class Finger:
     edits: list[Edit] = field(default_factory=list)
 
     def meshes(self) -> list[ToolMesh]:
-        """One ball of a centimeter."""
+        """One ball with a radius of 1 cm."""
         ball = trimesh.creation.icosphere(2, 0.01)
         return [ToolMesh(np.asarray(ball.vertices), np.asarray(ball.faces, np.int32))]
 
     def poses(self, duration: float, positions: Any) -> list[tuple[Any, bool]]:
-        """Above the clay, or in it."""
+        """The ball at its height, and whether it acts on the clay."""
         self.poses_asked.append(duration)
         pose = np.eye(4)
         pose[2, 3] = self.height
         return [(pose, self.enabled)]
 
     def take_edits(self) -> list[Edit]:
-        """What the test asks for."""
+        """The edits requested by the test."""
         edits, self.edits = self.edits, []
         return edits
 
 
 class Clock:
-    """Time that passes when it is told to."""
+    """A clock that the test advances."""
 
     now = 100.0
 
     def __call__(self) -> float:
-        """Seconds."""
+        """The time [s]."""
         return self.now
 
 
@@ -74,7 +74,7 @@ class Sculpting:
     clock: Clock
 
     def run(self, seconds: float) -> None:
-        """Let time pass, a tick at a time, each as long as its step takes."""
+        """Advance the clock tick by tick, waiting for the solver at each."""
         for _ in range(round(seconds * 60)):
             self.clock.now += 1 / 60
             self.session.wait()
@@ -98,7 +98,7 @@ class Sculpting:
 
 @pytest.fixture
 def sculpting(studio: Any, tmp_path: Path) -> Iterator[Sculpting]:
-    """A session over a block of clay that lies on a table."""
+    """A session with a block of clay on a table."""
     clay = studio.clay(location=(0.0, 0.0, 0.02))
     studio.table()
     studio.save(tmp_path)
@@ -111,13 +111,13 @@ def sculpting(studio: Any, tmp_path: Path) -> Iterator[Sculpting]:
 
 
 def top_of(studio: Any, clay: Any) -> float:
-    """Height of the clay's middle [m]."""
+    """Height of the clay's top at its center [m]."""
     points = studio.points(clay)
     return float(points[np.linalg.norm(points[:, :2], axis=1) < 0.012, 2].max())
 
 
 def test_clay_follows_the_tool_and_keeps_its_shape(studio: Any, sculpting: Sculpting) -> None:
-    """Dent the clay, and make the dent what a bake starts from."""
+    """Dent the clay, and make the dented shape the one that a bake starts from."""
     clay = studio.scene.objects["Clay"]
     sculpting.run(0.2)
     before = top_of(studio, clay)
@@ -131,15 +131,15 @@ def test_clay_follows_the_tool_and_keeps_its_shape(studio: Any, sculpting: Sculp
     assert abs(top_of(studio, clay) - dented) < 0.002
 
 
-def test_simulated_time_goes_by_the_clock(sculpting: Sculpting) -> None:
-    """Simulate as much time as passes, and say so."""
+def test_simulated_time_follows_the_clock(sculpting: Sculpting) -> None:
+    """Simulate as much time as passes, and report a factor of 1."""
     sculpting.run(0.5)
     assert sculpting.session.pace.simulated == pytest.approx(0.5, abs=0.04)
     assert sculpting.session.factor == pytest.approx(1.0, abs=0.05)
 
 
-def test_undo_brings_back_the_state_of_the_solver(studio: Any, sculpting: Sculpting) -> None:
-    """Go on from an undone state exactly as from that state before."""
+def test_undo_restores_the_state_of_the_solver(studio: Any, sculpting: Sculpting) -> None:
+    """Restore the exact solver state of an undo step."""
     clay = studio.scene.objects["Clay"]
     session = sculpting.session
     sculpting.run(0.2)
@@ -164,8 +164,8 @@ def test_undo_brings_back_the_state_of_the_solver(studio: Any, sculpting: Sculpt
     np.testing.assert_allclose(session.positions, first, atol=1e-6)
 
 
-def test_clay_that_comes_and_goes_is_taken_up(studio: Any, sculpting: Sculpting) -> None:
-    """Go on when clay is duplicated, renamed, hidden and deleted."""
+def test_session_follows_added_and_removed_clay(studio: Any, sculpting: Sculpting) -> None:
+    """Continue when clay is duplicated, renamed, hidden and deleted."""
     session = sculpting.session
     sculpting.run(0.1)
     clay = studio.scene.objects["Clay"]
@@ -193,7 +193,7 @@ def test_clay_that_comes_and_goes_is_taken_up(studio: Any, sculpting: Sculpting)
 
 
 def test_moved_clay_stays_where_it_was_moved(studio: Any, sculpting: Sculpting) -> None:
-    """Take clay up where it was moved to."""
+    """Continue with clay where the user moved it."""
     clay = studio.scene.objects["Clay"]
     sculpting.run(0.1)
     before = studio.points(clay)
@@ -224,7 +224,7 @@ def test_a_bake_no_longer_shows_over_sculpted_clay(studio: Any, sculpting: Sculp
 
 
 def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpting) -> None:
-    """Refuse a bake while the clay is sculpted, and leave the clay alone when the frame changes."""
+    """Refuse a bake while clay is being sculpted, and keep the clay when the frame changes."""
     clay = studio.scene.objects["Clay"]
     with pytest.raises(BakeError, match="being sculpted"):
         bake(bpy.context, end=3)
@@ -235,8 +235,8 @@ def test_bake_and_session_do_not_fight_over_clay(studio: Any, sculpting: Sculpti
     np.testing.assert_array_equal(studio.points(clay), shape)
 
 
-def test_units_other_than_meters_are_honoured(studio: Any) -> None:
-    """Press as deep in a scene of centimeters as in one of meters."""
+def test_units_other_than_meters_are_honored(studio: Any) -> None:
+    """Press as deep in a scene in centimeters as in one in meters."""
     studio.scene.unit_settings.scale_length = 0.01
     studio.scene.gravity = (0.0, 0.0, -981.0)
     clay = make_clay(bpy.context, [studio.block(size=4.0, location=(0.0, 0.0, 2.0))], spacing=1.0)
@@ -253,8 +253,8 @@ def test_units_other_than_meters_are_honoured(studio: Any) -> None:
     assert points[:, 2].min() > 0.3
 
 
-def test_another_tool_leaves_the_clay_as_tense_as_it_is(studio: Any, sculpting: Sculpting) -> None:
-    """Keep bonds, speeds and all that the solver knows of the clay when a tool is changed."""
+def test_changing_the_tool_keeps_the_state_of_the_clay(studio: Any, sculpting: Sculpting) -> None:
+    """Keep bonds, velocities and the rest of the clay's solver state when the tool changes."""
     sculpting.run(0.2)
     sculpting.finger.enabled = sculpting.finger.stroking = True
     sculpting.finger.height = 0.046
@@ -270,8 +270,8 @@ def test_another_tool_leaves_the_clay_as_tense_as_it_is(studio: Any, sculpting: 
     np.testing.assert_array_equal(before["position"], after["position"])
 
 
-def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
-    """Turn clay with a wheel by the clock, faster when the pedal is pressed, and let it stand."""
+def test_a_wheel_carries_its_clay_around(studio: Any) -> None:
+    """Turn clay with a wheel in real time, faster on request, and keep the wheel's final angle."""
     bpy.ops.mesh.primitive_cylinder_add(radius=0.06, depth=0.02, location=(0.0, 0.0, -0.01))
     wheel = bpy.context.object
     assert bpy.ops.clay.collider_add() == {"FINISHED"}
@@ -286,15 +286,15 @@ def test_a_wheel_carries_its_clay_round(studio: Any) -> None:
 
     first = direction()
     work.run(0.5)
-    # A quarter of a turn, less what it slips while it takes the clay along.
+    # A quarter turn, minus the slip while the clay accelerates.
     turned = np.degrees((direction() - first) % (2.0 * np.pi))
     assert 70.0 < turned < 95.0
-    work.session.wheels.press_pedal(studio.scene, 30.0)
+    work.session.wheels.change_speeds(studio.scene, 30.0)
     before = direction()
     work.run(0.25)
     assert 75.0 < np.degrees((direction() - before) % (2.0 * np.pi)) < 100.0
     work.session.finish(bpy.context)
-    # The wheel stands as it was left, and goes on by the timeline from there.
+    # The wheel keeps its angle, and continues from there on the timeline.
     assert wheel.tactile_clay.wheel_speed == 60.0
     stands = np.degrees(np.arctan2(wheel.matrix_world[1][0], wheel.matrix_world[0][0])) % 360.0
     bpy.context.view_layer.update()
@@ -309,23 +309,23 @@ def test_finish_leaves_nothing_behind(studio: Any, sculpting: Sculpting, tmp_pat
     current.stop(bpy.context)
     assert current.session is None
     assert not list(tmp_path.glob("*autosave*"))
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
 
 
-def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting) -> None:
-    """Change the number of particles and their colors, and go on simulating."""
+def test_clay_is_added_removed_and_painted(studio: Any, sculpting: Sculpting) -> None:
+    """Change the number of particles and their colors, and continue simulating."""
     clay = studio.scene.objects["Clay"]
     sculpting.run(0.1)
     blue = (0.0, 0.0, 1.0, 1.0)
     sculpting.finger.edits = [Edit("add", (0.0, 0.0, 0.06), 0.02, color=blue)]
     sculpting.run(0.2)
     added = len(clay.data.points) - 64
-    # A ball that partly lies in the block.
+    # Part of the ball lies inside the block.
     assert 10 < added < 34
     assert sum(part.count for part in sculpting.session.simulation.parts) == 64 + added
     assert is_sculpted(clay) is False
     sculpting.run(0.6)
-    # It is kept like a stroke.
+    # It gets an undo step like a stroke.
     assert is_sculpted(clay)
     sculpting.finger.edits = [
         Edit("paint", (0.0, 0.0, 0.0), 0.01, color=blue),
@@ -335,13 +335,13 @@ def test_clay_is_added_taken_away_and_painted(studio: Any, sculpting: Sculpting)
     assert len(clay.data.points) < 64 + added
     sculpting.finger.edits = [Edit("remove", (0.0, 0.0, 0.0), 1.0)]
     sculpting.run(0.1)
-    # The last clay of an object is not taken away.
+    # The last clay of an object is not removed.
     assert len(clay.data.points) > 0
     assert len(clay.data.attributes["rest_position"].data) == len(clay.data.points)
 
 
 def test_paint_shows_on_clay_that_is_still(studio: Any, sculpting: Sculpting) -> None:
-    """Have a new surface made when only colors change."""
+    """Request a new surface when only colors change."""
     sculpting.run(0.3)
     blue = (0.0, 0.0, 1.0, 1.0)
     sculpting.finger.edits = [Edit("paint", (0.0, 0.0, 0.03), 0.03, color=blue)]
@@ -357,21 +357,21 @@ def test_paint_shows_on_clay_that_is_still(studio: Any, sculpting: Sculpting) ->
     raise AssertionError("The paint never showed.")
 
 
-def test_only_clay_that_is_free_is_sculpted(studio: Any) -> None:
-    """Say what is missing, and leave all as it is."""
+def test_session_needs_clay(studio: Any) -> None:
+    """Say that there is no clay, and change nothing."""
     with pytest.raises(SculptError, match="no clay"):
         SculptSession(bpy.context)
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
 
 
 def session_threads() -> set[str]:
-    """Names of the threads of a session that are alive."""
+    """Names of a session's threads that are alive."""
     own = ("clay-sculpt", "clay surface", "clay-autosave", "clay-take")
     return {each.name for each in threading.enumerate() if each.name.startswith(own)}
 
 
 def threads_end() -> bool:
-    """Whether all threads of a session end within some seconds."""
+    """Whether all threads of a session end within 30 seconds."""
     until = time.perf_counter() + 30.0
     while session_threads() and time.perf_counter() < until:
         time.sleep(0.02)
@@ -382,7 +382,7 @@ def threads_end() -> bool:
 def test_all_threads_end_even_if_the_end_fails(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: Any
 ) -> None:
-    """End solver, surface, autosave and take when another file loads, or keeping the clay fails."""
+    """End solver, surface, autosave and take when a file loads, or when keeping the clay fails."""
     studio.clay(location=(0.0, 0.0, 0.02))
     studio.table()
     studio.save(tmp_path)
@@ -399,7 +399,7 @@ def test_all_threads_end_even_if_the_end_fails(
         with pytest.raises(ZeroDivisionError):
             work.session.finish(bpy.context)
     assert threads_end(), session_threads()
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0
     work.session.finish(context)
 
 
@@ -416,4 +416,4 @@ def test_a_session_that_cannot_start_leaves_no_thread(
     with pytest.raises(RuntimeError, match="no wheels"):
         SculptSession(bpy.context)
     assert threads_end(), session_threads()
-    assert playback.timeline.pauses == 0
+    assert playback.playback_state.pause_count == 0

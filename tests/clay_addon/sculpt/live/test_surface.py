@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The live surface stands for the clay in the viewport, and leaves nothing behind."""
+"""The live surface replaces the clay in the viewport, and leaves nothing behind."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,11 +34,11 @@ class Live:
         return self.surface.show()
 
     def stand_ins(self) -> list[Any]:
-        """Objects that stand for clay."""
+        """The stand-ins in the scene."""
         return [item for item in bpy.context.scene.objects if item.name.startswith("Live clay")]
 
     def shows_itself(self) -> bool:
-        """Whether the clay is as it was, and nothing stands for it."""
+        """Whether the clay is displayed as before, without a stand-in."""
         clay = bpy.data.objects["Clay"]
         return (
             not self.stand_ins()
@@ -57,8 +57,8 @@ def live(studio: Any) -> Iterator[Live]:
     made.surface.close()
 
 
-def test_mesh_stands_for_the_clay(live: Live) -> None:
-    """Show a closed mesh in the clay's colors where the clay is, and hide the clay itself."""
+def test_mesh_replaces_the_clay(live: Live) -> None:
+    """Show a closed mesh in the clay's place and colors, and hide the clay itself."""
     assert not live.surface.show()
     assert live.tick()
     (item,) = live.stand_ins()
@@ -83,8 +83,8 @@ def test_mesh_stands_for_the_clay(live: Live) -> None:
     np.testing.assert_allclose(mesh.attributes["Color"].data[0].color, clay_colors(live.clay)[0])
 
 
-def test_hidden_clay_is_still_evaluated_and_costs_no_surface(live: Live) -> None:
-    """Leave the clay to the solver and to renders, without making its own surface each tick."""
+def test_hidden_clay_is_still_evaluated_without_its_surface(live: Live) -> None:
+    """Keep evaluating the clay for solver and renders, without its own surface."""
     live.tick()
     depsgraph = bpy.context.evaluated_depsgraph_get()
     assert not is_switched_off(live.clay, depsgraph)
@@ -93,8 +93,8 @@ def test_hidden_clay_is_still_evaluated_and_costs_no_surface(live: Live) -> None
     assert len(geometry.pointcloud.points) == 64
 
 
-def test_mesh_follows_and_rests(live: Live) -> None:
-    """Write the mesh again when the clay has moved, in the same object, and else not."""
+def test_mesh_is_written_only_when_clay_moves(live: Live) -> None:
+    """Rewrite the mesh of the same object when the clay has moved, and only then."""
     live.tick()
     (item,) = live.stand_ins()
     bpy.context.scene.name = live.clay.name = "Renamed"
@@ -105,8 +105,8 @@ def test_mesh_follows_and_rests(live: Live) -> None:
     assert len(item.data.materials) == 1
 
 
-def test_close_leaves_all_as_it_was(live: Live) -> None:
-    """Remove the mesh, show the clay's own surface, and select what was selected."""
+def test_close_restores_the_clay(live: Live) -> None:
+    """Remove the mesh, show the clay's own surface, and restore the selection."""
     live.studio.select(live.clay)
     live.tick()
     assert not live.shows_itself()
@@ -119,7 +119,7 @@ def test_close_leaves_all_as_it_was(live: Live) -> None:
 
 
 def test_clay_that_was_hidden_stays_hidden(studio: Any) -> None:
-    """Show again only what was shown before."""
+    """Show only what was visible before."""
     clay = studio.clay()
     clay.hide_set(True)
     clay.modifiers[look.MODIFIER_NAME].show_viewport = False
@@ -131,10 +131,10 @@ def test_clay_that_was_hidden_stays_hidden(studio: Any) -> None:
     assert not clay.modifiers[look.MODIFIER_NAME].show_viewport
 
 
-def test_too_slow_shows_points_until_the_clay_rests(
+def test_slow_surface_shows_points_until_the_clay_rests(
     live: Live, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where surfaces do not keep pace, show points while clay moves, then its surface."""
+    """If surfaces cannot keep pace, show points while the clay moves, then its surface."""
     monkeypatch.setattr("tactile_clay.clay_addon.sculpt.live.surface.MAX_SECONDS", 0.0)
     assert live.tick()
     assert not live.surface.keeps_pace
@@ -151,8 +151,8 @@ def test_too_slow_shows_points_until_the_clay_rests(
     assert live.shows_itself()
 
 
-def test_a_surface_that_cannot_be_made_is_told(live: Live) -> None:
-    """Show points and say what is wrong; go on as soon as it can be made."""
+def test_failed_surface_is_reported(live: Live) -> None:
+    """Show points and say what is wrong, until a surface can be made again."""
     live.tick()
     live.surface.offer([(np.zeros((3, 2)), np.zeros((3, 4)))])
     assert live.surface._worker is not None
@@ -166,7 +166,7 @@ def test_a_surface_that_cannot_be_made_is_told(live: Live) -> None:
 
 
 def test_files_hold_no_stand_in(live: Live, tmp_path: Path) -> None:
-    """Save the clay as it shows itself, and go on showing the surface."""
+    """Save the file without the stand-in, and keep showing the surface."""
     live.tick()
     path = live.studio.save(tmp_path)
     assert live.stand_ins()
@@ -176,8 +176,8 @@ def test_files_hold_no_stand_in(live: Live, tmp_path: Path) -> None:
     assert not live.surface.show()
 
 
-def test_a_file_that_holds_one_is_swept(live: Live, tmp_path: Path) -> None:
-    """Clean a file that was saved without the handlers, as an automatic save is."""
+def test_stand_in_in_a_file_is_removed(live: Live, tmp_path: Path) -> None:
+    """Clean up a file that was saved without the handlers, as an autosave is."""
     from tactile_clay.clay_addon.sculpt.live import surface
 
     live.tick()
@@ -193,8 +193,8 @@ def test_a_file_that_holds_one_is_swept(live: Live, tmp_path: Path) -> None:
     assert live.shows_itself()
 
 
-def test_undo_keeps_the_stand_in_while_live_and_none_after(live: Live) -> None:
-    """Show the surface again after Undo; after the session, Undo brings no stand-in back."""
+def test_undo_restores_the_stand_in_only_during_the_session(live: Live) -> None:
+    """Show the surface again after Undo, but restore no stand-in after the session."""
     bpy.ops.ed.undo_push(message="before")
     live.tick()
     bpy.ops.ed.undo_push(message="stroke")
@@ -212,7 +212,7 @@ def test_undo_keeps_the_stand_in_while_live_and_none_after(live: Live) -> None:
 
 
 def test_no_clay_is_refused(studio: Any) -> None:
-    """Say that there is nothing to show, and sweep a scene that holds nothing."""
+    """Say that there is no clay, and accept a scene without stand-ins to remove."""
     with pytest.raises(ValueError, match="no clay"):
         LiveSurface(bpy.context, [])
     sweep(bpy.context.scene)
