@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""C++ shared by the passes for the CPU's vector units, which take eight numbers at a time.
+"""C++ shared by the passes for the CPU's vector units, which process eight numbers at a time.
 
 Clang's vector types compile to whatever the processor has (AVX, NEON). A pass works on a block of
-particles at a time: calling a kernel for each costs as much as the work itself.
+particles at a time, because calling a kernel for each particle costs as much as the work itself.
 """
 
 OPTIONS = {"cpu_compiler_flags": "-O3 -march=native"}
-"""Module options: the compiler may use everything that this processor offers."""
+"""Module options that let the compiler use all instructions of this processor."""
 BLOCK = 64
 """Particles in a block."""
 
@@ -53,7 +53,7 @@ VECTORS = (
         const f4 b = a.lo + a.hi;
         return (b.x + b.z) + (b.y + b.w);
     };
-    // A vector of three numbers, read as four: the array must have room for one past its end.
+    // A vector of three numbers, read as four: the array must have room for one more at its end.
     auto load3 = [](const float* p) __attribute__((always_inline)) {
         f4 v = *(const f4u*)p;
         v.w = 0.f;
@@ -66,7 +66,7 @@ VECTORS = (
     auto cross = [](f4 a, f4 b) __attribute__((always_inline)) {
         return a.yzxw * b.zxyw - a.zxyw * b.yzxw;
     };
-    // Four consecutive numbers of each of eight rows, by place: whole loads, transposed.
+    // Four consecutive numbers of each of eight rows: loaded whole, then transposed.
     auto pick_rows = [](const float* p, const int* j, int pitch, f8& x, f8& y, f8& z, f8& w)
         __attribute__((always_inline)) {
         auto row = [&](int l) __attribute__((always_inline)) {
@@ -86,7 +86,7 @@ VECTORS = (
         w = __builtin_shufflevector(ab2, cd2, 2, 3, 10, 11, 6, 7, 14, 15);
     };
     // Eight vectors of three or four numbers, by axis; for three, the array must have room for one
-    // number past its end.
+    // more number at its end.
     auto pick3 = [&](const float* p, const int* j, f8& x, f8& y, f8& z)
         __attribute__((always_inline)) {
         f8 next;

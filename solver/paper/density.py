@@ -109,7 +109,7 @@ class DensityConstraints:
         self.density.kernel_radius = KERNEL_RADIUS * particles.spacing
         self.density.fraction = 1.0
         self.density.regularization = REGULARIZATION * lattice_denominator(
-            particles.spacing, particles.least_mass
+            particles.spacing, particles.min_mass
         )
         self.compression = wp.zeros(count, dtype=float, device=device)
         """Relative excess of density over that at rest, at least 0; as last evaluated."""

@@ -115,7 +115,7 @@ class CoarseSpace:
         """Rows of the matrix in use."""
         # Cells of one or two particles have no definite turn; a little inertia keeps it small.
         ridge = [1e-6] * 3 + [0.1 * particles.spacing**2] * 3
-        self.ridge = np.array(ridge) * particles.least_mass
+        self.ridge = np.array(ridge) * particles.min_mass
         self._resize(1)
 
     def _resize(self, cells: int) -> None:

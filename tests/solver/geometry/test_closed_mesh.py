@@ -136,7 +136,7 @@ def test_same_shell_twice_counts_once(inverted: bool):
     both = trimesh.util.concatenate([one, two])
     mesh = closed_mesh(both.vertices, both.faces)
     assert mesh_volume(mesh.vertices, mesh.faces) == pytest.approx(one.volume)
-    assert mesh.notes == ("1,280 doubled faces left out.",)
+    assert mesh.notes == ("1,280 duplicate faces removed.",)
 
 
 @pytest.mark.parametrize(
