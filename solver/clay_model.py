@@ -27,7 +27,7 @@ class ClayModel(Protocol):
             time_step: Length of the last substep [s].
         """
 
-    def unheld(self, regions: Regions) -> NDArray:
+    def unsupported(self, regions: Regions) -> NDArray:
         """Whether each region is asleep but has lost its support, shape [R]."""
 
     def wake(self, woken: NDArray) -> None:

@@ -168,7 +168,7 @@ class Solver:
         """Wake clay that is disturbed by other clay or by colliders sweeping ``boxes`` [m]."""
         regions = self._regions
         woken = regions.lay_out() if regions.outgrown else np.zeros(0, np.int64)
-        wake = regions.disturbed(boxes, self._model.unheld(regions))
+        wake = regions.disturbed(boxes, self._model.unsupported(regions))
         if wake.any():
             regions.asleep = regions.asleep & ~wake
             woken = np.union1d(woken, regions.members(wake))

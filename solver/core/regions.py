@@ -198,16 +198,16 @@ class Regions:
         return ~self.asleep & calm & (self.quiet > SLEEP_DELAY)
 
     def disturbed(
-        self, boxes: list[NDArray[np.float64]], unheld: NDArray[np.bool_]
+        self, boxes: list[NDArray[np.float64]], unsupported: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Find the regions that must wake before the next step.
 
         Args:
             boxes: Boxes swept by moving colliders, shape [2, 3] each [m].
-            unheld: Whether each region has lost its support, shape [R].
+            unsupported: Whether each region has lost its support, shape [R].
         """
         moved = self.travel > WAKE_TRAVEL * self.particles.spacing
-        wake = self._spread(moved) | unheld
+        wake = self._spread(moved) | unsupported
         self.travel[moved] = 0.0
         margin = 1.5 * self.particles.spacing
         for low, high in boxes:

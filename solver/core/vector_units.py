@@ -13,16 +13,16 @@ BLOCK = 64
 NUMBERS = """
     #if defined(__CUDACC__)
     #define ALWAYS_INLINE
-    auto most = [](float a, float b) { return fmaxf(a, b); };
-    auto least = [](float a, float b) { return fminf(a, b); };
+    auto maximum = [](float a, float b) { return fmaxf(a, b); };
+    auto minimum = [](float a, float b) { return fminf(a, b); };
     auto root = [](float a) { return sqrtf(a); };
     auto power = [](float a, float b) { return powf(a, b); };
     #else
     #define ALWAYS_INLINE __attribute__((always_inline))
-    auto most = [](auto a, auto b) ALWAYS_INLINE {
+    auto maximum = [](auto a, auto b) ALWAYS_INLINE {
         return __builtin_elementwise_max(a, (decltype(a))b);
     };
-    auto least = [](auto a, auto b) ALWAYS_INLINE {
+    auto minimum = [](auto a, auto b) ALWAYS_INLINE {
         return __builtin_elementwise_min(a, (decltype(a))b);
     };
     auto root = [](auto a) ALWAYS_INLINE { return __builtin_elementwise_sqrt(a); };
@@ -101,7 +101,7 @@ VECTORS = (
 
 
 def over_block(setup: str, body: str, result: str = "") -> str:
-    """Text of a native function that works on a block of particles.
+    """Source of a native function that works on a block of particles.
 
     Args:
         setup: Statements before the loop over particles.
@@ -109,7 +109,7 @@ def over_block(setup: str, body: str, result: str = "") -> str:
         result: Statements after the loop.
 
     Returns:
-        The text; the function must have the arguments ``block`` and ``awake``.
+        The source; the function must have the arguments ``block`` and ``awake``.
     """
     return f"""{VECTORS}
     const int awake_count = awake.count.data[0], begin = block * {BLOCK};
@@ -124,5 +124,5 @@ def over_block(setup: str, body: str, result: str = "") -> str:
 
 
 def for_one(setup: str, body: str, result: str = "") -> str:
-    """Text of a native function that does the same for a single particle ``i``."""
+    """Source of a native function that does the same for a single particle ``i``."""
     return f"{VECTORS}{setup}{body}{result}}}"

@@ -169,8 +169,8 @@ def test_damping_has_the_stress_of_the_material(shared: SharedLaw, index: float)
 @pytest.mark.parametrize(
     "block",
     [
-        measures_cpu.lay_block,
-        measures_cpu.lay_one,
+        measures_cpu.gather_block,
+        measures_cpu.gather_one,
         measures_cpu.measure_block,
         forces_cpu.sum_forces_block,
         forces_cpu.flow_block,

@@ -39,8 +39,8 @@ def test_pairs_are_laid_the_same(pressed: PlasticBonds):
     inputs = [*law, body.position, body.velocity, rows]
     compare(
         pressed,
-        lambda: body.launch(measures.lay_pairs, *inputs),
-        lambda: body.launch_blocks(measures_cpu.lay_pairs, *inputs, pressed.pairs._left),
+        lambda: body.launch(measures.gather_pairs, *inputs),
+        lambda: body.launch_blocks(measures_cpu.gather_pairs, *inputs, pressed.pairs._left),
         [rows.other, rows.rest_length, rows.acting],
         {name: acting(pressed, name) for name in (*LAID, "rest_length")}
         | conditions(pressed)

@@ -37,7 +37,7 @@ MATERIALS = (
     Material(yield_stress=8e3, density=1900.0, viscosity=0.0, cohesion=3e4),
 )
 SEEDS = (1, 2, 3)
-LAY = (measures.lay_pairs, measures_cpu.lay_pairs)
+LAY = (measures.gather_pairs, measures_cpu.gather_pairs)
 MEASURE = (measures.measure_pairs, measures_cpu.measure_pairs)
 SUM_FORCES = (forces.sum_forces, forces_cpu.sum_forces)
 FLOW = (forces.flow_pairs, forces_cpu.flow_pairs)
@@ -87,7 +87,7 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
         rest[slots] = np.where(bonded, apart + wild * (drawn - apart), waiting)
     table.rest_length.assign(rest)
     body.launch(
-        measures.lay_pairs,
+        measures.gather_pairs,
         model.shared_law,
         model.particle_laws,
         body.material,
