@@ -30,8 +30,8 @@ COLLIDER_STRIDE = 0.25
 COLLIDER_SLIDE = 1.0
 """Largest motion of a collider along its surface near clay in a substep, in spacings."""
 COLLIDER_TURN = 0.05
-"""Largest rotation of a fast collider in a substep [rad]: velocities of clay that it carries are then
-correct to two thousandths."""
+"""Largest rotation of a fast collider in a substep [rad]: the velocity of clay that it carries is
+then correct to two thousandths."""
 KEPT_EXCESS = 1.5
 """The previous number of substeps is kept if it is at most this many times the number needed."""
 SWEEP_LIMIT = 32

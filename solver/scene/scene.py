@@ -340,7 +340,7 @@ class Scene:
             )
         if not 0.0 <= poisson_ratio < 0.49:
             raise ValueError(
-                f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must be from 0 to below 0.49."
+                f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must be 0 to below 0.49."
             )
         if hold_stiffness is not None and not (np.isfinite(hold_stiffness) and hold_stiffness > 0):
             raise ValueError(
