@@ -282,7 +282,7 @@ class Particles:
         """Set ``velocity_free``.
 
         Velocities belong to the middle of a substep, so gravity acts from middle to middle
-        (leapfrog): free fall is exact whatever the substeps.
+        (leapfrog): free fall is exact for any substeps.
         """
         kick = wp.vec3(*self.gravity) * (0.5 * (time_step + time_step_before))
         self.run(

@@ -153,8 +153,8 @@ class Hand:
         if not within.all():
             name = names[int(np.argmin(within))]
             raise ValueError(
-                f"The pose of bone {name!r} scales its rest pose by a factor of more than "
-                f"{MAX_STRETCH:g}; bind the hand again at its new size. {kept}"
+                f"The pose of bone {name!r} stretches or shrinks it over {MAX_STRETCH:g} times "
+                f"relative to its rest pose; bind the hand again at its new size. {kept}"
             )
 
     def set_tracked(self, tracked: bool) -> None:
