@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay, hands and colliders, simulated with Warp and numpy, never Blender.
+"""Simulation of clay, hands and colliders with Warp and NumPy, independent of Blender.
 
-Modules that need Warp are loaded on first use, so that importing materials and mesh checks is fast.
+Modules that need Warp are loaded on first use, so importing materials and mesh checks is fast.
 """
 
 from importlib import import_module

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the solver asks of a clay model."""
+"""The interface that clay models implement."""
 
 from typing import Protocol
 
@@ -20,21 +20,21 @@ class ClayModel(Protocol):
         """Whether parts of the clay may sleep while others move."""
 
     def rest(self, resting: NDArray, time_step: float) -> None:
-        """Bring particles that fall asleep to rest.
+        """Put particles to sleep.
 
         Args:
-            resting: Their indices.
+            resting: Indices of the particles that fall asleep.
             time_step: Length of the last substep [s].
         """
 
-    def unheld(self, regions: Regions) -> NDArray:
-        """Whether each region sleeps and is no longer held by anything, shape [R]."""
+    def unsupported(self, regions: Regions) -> NDArray:
+        """Whether each region is asleep but has lost its support, shape [R]."""
 
     def wake(self, woken: NDArray) -> None:
-        """Prepare to wake particles, which still count as asleep."""
+        """Prepare particles for waking while they still count as asleep."""
 
     def woken(self) -> None:
-        """Finish waking particles, which now count as awake."""
+        """Finish waking particles, which count as awake by now."""
 
     def begin_step(self) -> None:
         """Prepare for the substeps of a step."""
@@ -43,17 +43,17 @@ class ClayModel(Protocol):
         """Find contacts, change velocities, move particles, sum the impulses on colliders."""
 
     def compression(self) -> NDArray:
-        """Each particle's relative excess of density over that at rest, at least 0; shape [N]."""
+        """Relative excess of each particle's density over the rest density, at least 0; [N]."""
 
     @property
     def overflow(self) -> int:
-        """Number of entries that found no room in a list, since the start."""
+        """Number of list entries dropped for lack of room since the start."""
 
     def passes(self) -> list[str]:
-        """Names of the passes of a substep, in order, for people to read."""
+        """Names of the passes of a substep, in order, for display."""
 
     def snapshot(self) -> dict[str, NDArray]:
         """All state that determines the next steps."""
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The solver: builds the passes that a scene needs, and steps them."""
+"""The solver, which simulates a scene step by step."""
 
 import math
 
@@ -24,16 +24,16 @@ from .soft_hand.hold import held_part
 from .soft_hand.soft_hand import SoftHand
 
 CLAY_STRIDE = 0.5
-"""Largest motion of the fastest clay in a substep, in spacings, for collisions to be found."""
+"""Largest motion of clay in a substep, in spacings, so that no collision is missed."""
 COLLIDER_STRIDE = 0.25
 """Largest motion of a collider along its normals in a substep, in spacings: half a radius."""
 COLLIDER_SLIDE = 1.0
-"""Largest motion of a collider along its surface in a substep, in spacings, where clay is."""
+"""Largest motion of a collider along its surface near clay in a substep, in spacings."""
 COLLIDER_TURN = 0.05
-"""Largest turn of a fast collider in a substep [rad]: velocities of clay that it carries around are
+"""Largest rotation of a fast collider in a substep [rad]: the velocity of clay that it carries is
 then correct to two thousandths."""
-FAMILIAR = 1.5
-"""The number of substeps is kept while it is at most this many times the number needed."""
+KEPT_EXCESS = 1.5
+"""The previous number of substeps is kept if it is at most this many times the number needed."""
 SWEEP_LIMIT = 32
 """A collider that would need more than this many times the substeps jumps instead of sweeping."""
 MAX_SUBSTEPS = 128
@@ -41,12 +41,12 @@ MAX_SUBSTEPS = 128
 SPEED_FLOOR = 1.0
 """Speed that internal forces may always give clay [m/s]; see `Solver._limit_speed`."""
 SPEED_MARGIN = 1.5
-"""How many times the previous top speed internal forces may give a particle: clay that spins,
+"""Multiple of the previous top speed that internal forces may give a particle: clay that spins,
 bounces or whips trades speed between its parts, and clamping would cost momentum."""
 _SURROUNDINGS = ("collider_", "contact_", "coarse_", "hand_", "region_")
-"""Prefixes of the parts of a snapshot that are not the clay's own, or follow from it."""
+"""Prefixes of snapshot entries that are not state of the clay, or follow from it."""
 SPEED_MEMORY = 0.5
-"""Time constant with which the clay forgets its top speed, so that it can bounce back [s]."""
+"""Time constant with which the recorded top speed decays [s]; it lets clay bounce back."""
 
 
 class Solver:
@@ -77,11 +77,11 @@ class Solver:
     hand that is hit fast by up to their radius. Planes and meshes push clay but do not yield to it;
     hands do, some milliseconds late, and pass through planes, meshes, each other and themselves.
     Sleeping clay between awake clay and a collider does not transmit the force of a press. On a GPU
-    the coarse matrix is inverted on the host, and no GPU has run it.
+    the coarse matrix is inverted on the host; the solver has not been run on one.
 
     Args:
         scene: The scene; clay and colliders added to it later are ignored.
-        settings: Resolution in time, and parts of the model.
+        settings: Resolution in time, and which parts of the model to use.
         device: Warp device, such as "cpu" or "cuda:0".
 
     Raises:
@@ -95,7 +95,7 @@ class Solver:
             self.device = wp.get_device(device)
         except (RuntimeError, ValueError) as error:
             known = ", ".join(str(d) for d in wp.get_devices())
-            raise ValueError(f"There is no device {device!r}. There are: {known}.") from error
+            raise ValueError(f"There is no device {device!r}. Available: {known}.") from error
         if scene.hands and self.settings.model == "paper":
             raise ValueError(
                 'The clay model "paper" does not support hands: use "plastic_bonds", or add the '
@@ -121,34 +121,34 @@ class Solver:
         self._regions = Regions(self._particles, sleeping=sleeping)
 
     def begin(self) -> None:
-        """Take colliders and hands to begin where they were when the solver was made.
+        """Start the motion of colliders and hands from where they were when the solver was made.
 
-        Without this call they begin where they are at the first step, and what was set before is
-        not motion. Call it right after making the solver where the next poses are those at the end
+        Without this call they start where they are at the first step, and poses set before it are
+        not motion. Call it right after making the solver if the poses set next are those at the end
         of the first step, as in a bake.
         """
         self._begun = True
 
     def step(self, duration: float = BASE_STEP) -> None:
-        """Advance by ``duration`` [s]; colliders reach the poses that were last set.
+        """Advance by ``duration`` [s]; colliders reach their last set poses.
 
         Raises:
             ValueError: The duration is not a positive number.
         """
         if not (math.isfinite(duration) and duration > 0):
             raise ValueError(f"A step of {duration!r} s is not possible; it must be above 0.")
-        shortest = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
+        base_substeps = max(1, math.ceil(self.settings.substeps * duration / BASE_STEP - 1e-6))
         speed = self._regions.fastest
         stride = CLAY_STRIDE * self.scene.spacing
-        most = math.ceil(MAX_SUBSTEPS * duration / BASE_STEP)
-        substeps = max(shortest, min(math.ceil(speed * duration / stride), most))
+        max_substeps = math.ceil(MAX_SUBSTEPS * duration / BASE_STEP)
+        substeps = max(base_substeps, min(math.ceil(speed * duration / stride), max_substeps))
         motion = 0.0
         if self._contacts.meshes:
-            substeps, motion = self._plan_colliders(shortest, substeps, duration)
+            substeps, motion = self._plan_colliders(base_substeps, substeps, duration)
         else:
             self._wake([])
-            if substeps > shortest:
-                substeps = self._familiar(substeps)
+            if substeps > base_substeps:
+                substeps = self._reusable_substeps(substeps)
         self._limit_speed(speed, motion / duration, duration)
         time_step = duration / substeps
         self._contacts.begin_step()
@@ -168,10 +168,10 @@ class Solver:
         self._begun = True
 
     def _wake(self, boxes: list[NDArray[np.float64]]) -> None:
-        """Wake clay that is disturbed by other clay or by colliders sweeping ``boxes`` [m]."""
+        """Wake clay disturbed by other clay or by colliders that sweep ``boxes`` [m]."""
         regions = self._regions
         woken = regions.lay_out() if regions.outgrown else np.zeros(0, np.int64)
-        wake = regions.disturbed(boxes, self._model.unheld(regions))
+        wake = regions.disturbed(boxes, self._model.unsupported(regions))
         if wake.any():
             regions.asleep = regions.asleep & ~wake
             woken = np.union1d(woken, regions.members(wake))
@@ -183,27 +183,27 @@ class Solver:
     def _doze(self, duration: float) -> None:
         """Put clay that has come to rest to sleep."""
         regions = self._regions
-        tired = regions.doze(duration)
-        if tired.any():
-            fell = regions.members(tired)
-            regions.set_asleep(regions.asleep | tired)
-            self._model.rest(fell, self._time_step_before)
+        falling_asleep = regions.doze(duration)
+        if falling_asleep.any():
+            resting = regions.members(falling_asleep)
+            regions.set_asleep(regions.asleep | falling_asleep)
+            self._model.rest(resting, self._time_step_before)
 
     def _limit_speed(self, speed: float, collider_speed: float, duration: float) -> None:
-        """Bound how fast anything can become in this step.
+        """Limit the speed of particles in this step.
 
         Clay that overlaps itself, as when particles are added in one spot, holds far more elastic
-        energy than real clay can. Nothing makes real clay faster than it was a moment ago except
-        gravity and tools, which can throw it at twice their speed.
+        energy than real clay can. Only gravity and tools, which can throw it at twice their speed,
+        make real clay faster than it was a moment ago.
 
         Args:
-            speed: Of the fastest particle [m/s].
-            collider_speed: Of the fastest collider [m/s].
+            speed: Speed of the fastest particle [m/s].
+            collider_speed: Speed of the fastest collider [m/s].
             duration: Length of the step [s].
         """
         fall = 2.0 * float(np.linalg.norm(self.scene.gravity)) * duration
         thrown = max(SPEED_FLOOR, 2.0 * collider_speed)
-        # Only external causes raise the limit, not what internal forces have done since.
+        # Only external causes raise the limit, not the effect of internal forces.
         explained = min(speed, max(self._speed_before + fall, thrown))
         kept = max(explained, self._speed_before * math.exp(-duration / SPEED_MEMORY))
         self._speed_before = kept
@@ -220,40 +220,42 @@ class Solver:
             hand.begin_substep(0, 1, duration)
             hand.gather(self._contacts.slots, duration)
 
-    def _plan_colliders(self, shortest: int, substeps: int, duration: float) -> tuple[int, float]:
-        """Choose substeps so that no collider near the clay moves far into it in one.
+    def _plan_colliders(
+        self, base_substeps: int, substeps: int, duration: float
+    ) -> tuple[int, float]:
+        """Choose the number of substeps so that no collider moves far into the clay in one.
 
         Returns:
-            Their number, and the farthest motion of a collider that sweeps near the clay [m].
+            The number, and the largest motion of a collider that sweeps near the clay [m].
         """
         meshes = self._contacts.meshes
         assert meshes is not None
         stride = COLLIDER_STRIDE * self.scene.spacing
         if not self._begun:
             meshes.begin_here()
-        motions, boxes = meshes.farthest_motion(stride * shortest)
-        # The motion of the clay towards a collider is bounded by its substeps.
+        motions, boxes = meshes.farthest_motion(stride * base_substeps)
+        # The number of substeps bounds the motion of the clay towards a collider.
         reach = (2.0 + substeps) * self.scene.spacing
         low, high = self._regions.box + np.array([[-reach], [reach]])
         touched = self._regions.box + np.array([[-1.0], [1.0]]) * self.scene.spacing
         near = [bool((box[0] < high).all() and (box[1] > low).all()) for box in boxes]
-        most = SWEEP_LIMIT * shortest
-        teleported = [motion > most * stride for motion in motions]
+        max_substeps = SWEEP_LIMIT * base_substeps
+        teleported = [motion > max_substeps * stride for motion in motions]
         swept = []
         for index, motion in enumerate(motions):
             if near[index] and index < len(self.scene.meshes) and motion > stride * substeps:
                 sweep = meshes.sweep(index, np.stack([low, high]), touched)
-                # A large wheel does not jump, however fast it turns.
-                teleported[index] = sweep.along > most * stride
+                # A large wheel does not jump, no matter how fast it turns.
+                teleported[index] = sweep.along > max_substeps * stride
                 slide = sweep.across * COLLIDER_STRIDE / COLLIDER_SLIDE
                 turn = sweep.turn * stride / COLLIDER_TURN
-                motion = max(sweep.along, min(max(slide, turn), most * stride))
+                motion = max(sweep.along, min(max(slide, turn), max_substeps * stride))
             if near[index] and not teleported[index]:
                 swept.append(motion)
         self._wake([box for motion, box in zip(motions, boxes, strict=True) if motion > 0.0])
         substeps = max(substeps, math.ceil(max(swept, default=0.0) / stride))
-        if substeps > shortest:
-            substeps = self._familiar(substeps)
+        if substeps > base_substeps:
+            substeps = self._reusable_substeps(substeps)
         self._teleported += sum(teleported)
         moving: list[MeshCollider | Hand] = [*self.scene.meshes, *self.scene.hands]
         jumps = zip(moving, teleported, near, strict=True)
@@ -262,13 +264,13 @@ class Solver:
         carried = zip(motions, teleported, near, strict=True)
         return substeps, max((m for m, jumps, close in carried if close and not jumps), default=0.0)
 
-    def _familiar(self, substeps: int) -> int:
-        """The previous number of substeps if it is enough and near, else a round number.
+    def _reusable_substeps(self, substeps: int) -> int:
+        """Return the previous number of substeps if it is sufficient and close, else round up.
 
         Passes are recorded for each length of substep, which costs as much as several frames.
         """
         before = self._substeps
-        if substeps <= before <= FAMILIAR * substeps:
+        if substeps <= before <= KEPT_EXCESS * substeps:
             return before
         step = 1 << max(substeps.bit_length() - 3, 0)
         return -(-substeps // step) * step
@@ -335,7 +337,7 @@ class Solver:
         raise ValueError("That hand is not in the scene this solver was built from.")
 
     def diagnostics(self) -> Diagnostics:
-        """Figures of the last step and counts since the start."""
+        """Measurements of the last step, and counts since the start."""
         count = self.scene.particle_count
         compression = 0.0
         speed = 0.0
@@ -357,7 +359,7 @@ class Solver:
         )
 
     def describe(self) -> str:
-        """The passes that this scene needs, in order, and the memory they hold."""
+        """Text about the passes that this scene needs, in order, and their memory."""
         passes = self._model.passes()
         if self.scene.meshes:
             passes.append(f"contact with {len(self.scene.meshes)} meshes")
@@ -399,7 +401,7 @@ class Solver:
         }
 
     def restore(self, snapshot: dict[str, NDArray]) -> None:
-        """Return to a state that `snapshot` gave.
+        """Restore a state returned by `snapshot`.
 
         Raises:
             ValueError: The snapshot is of another scene, or damaged. The state is unchanged.
@@ -428,7 +430,7 @@ class Solver:
         self._contacts.restore(snapshot)
 
     def restore_clay(self, snapshot: dict[str, NDArray]) -> None:
-        """Restore the clay of a state, but not colliders and hands, which may differ.
+        """Restore the clay from a snapshot, but not colliders and hands, which may differ.
 
         Args:
             snapshot: Snapshot of a solver with the same particles. All clay is awake afterwards.
@@ -444,5 +446,5 @@ class Solver:
                 state[name] = snapshot[name]
         begun = self._begun
         self.restore(state)
-        # Colliders and hands are still where they were, if they have begun at all.
+        # Colliders and hands are still where they were, and may not have begun to move.
         self._begun = begun

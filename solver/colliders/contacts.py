@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The contacts of a scene: their slots, and the passes over them."""
+"""Contact slots of a scene, and the passes over them."""
 
 import math
 from typing import Any
@@ -30,11 +30,11 @@ from .planes import PlaneColliders
 class Contacts:
     """Contacts of all particles with all colliders.
 
-    A scene without colliders keeps no slots.
+    A scene without colliders allocates no slots.
 
     Args:
         scene: Its planes, meshes and hands are the colliders, in this order.
-        particles: What they touch.
+        particles: The clay.
         friction: Whether friction acts.
     """
 
@@ -103,10 +103,10 @@ class Contacts:
         self._grasp = np.ones(len(self.colliders))
         self._speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
         self.friction = wp.array(table, dtype=float, device=device)
-        """Of each material on each collider: the geometric mean of the two."""
+        """Friction of each material on each collider: the geometric mean of their coefficients."""
         around = Surroundings()
-        around.plane_point = self.planes.point if self.planes else _nothing(wp.vec3, device)
-        around.plane_normal = self.planes.normal if self.planes else _nothing(wp.vec3, device)
+        around.plane_point = self.planes.point if self.planes else _empty(wp.vec3, device)
+        around.plane_normal = self.planes.normal if self.planes else _empty(wp.vec3, device)
         around.clearance = wp.zeros((0, 0), dtype=float, device=device)
         if self.meshes:
             for name in (
@@ -129,24 +129,24 @@ class Contacts:
         )
         shape = (particles.parts, len(self.colliders))
         self.impulse = wp.zeros(shape, dtype=wp.vec3d, device=device)
-        """By part, on each collider in this step [N s]."""
+        """Impulse of each part on each collider in this step [N s]."""
         self._impulse_by_part = ByPart.rows(self.impulse) if self.colliders else ByPart()
         self.resting_force = wp.zeros(len(self.colliders), dtype=wp.vec3d, device=device)
-        """Of clay that sleeps, on each collider [N]."""
+        """Force of sleeping clay on each collider [N]."""
         self._slept_force = wp.zeros_like(self.resting_force)
         self.deepest = wp.zeros((particles.parts, 1), dtype=float, device=device)
-        """How far any particle's ball lay inside a collider in this step [m]."""
+        """Deepest penetration of a particle into a collider in this step, by part [m]."""
 
     @property
     def generation(self) -> int:
-        """Changes whenever an array gives way to another."""
+        """Changes whenever an array is replaced."""
         return self.meshes.generation if self.meshes else 0
 
     def rest(self, resting: wp.array, time_step: float) -> None:
-        """Keep the forces of particles that fall asleep.
+        """Store the contact forces of particles that fall asleep.
 
         Args:
-            resting: Their indices.
+            resting: Indices of the particles.
             time_step: Length of the last substep [s].
         """
         if self.colliders:
@@ -154,20 +154,20 @@ class Contacts:
             wp.launch(rest_contacts, dim=len(resting), inputs=inputs, device=self.device)
 
     def wake(self, woken: wp.array) -> None:
-        """Take up the contacts of particles that wake, given their indices."""
+        """Resume the contacts of particles that wake, given their indices."""
         if self.colliders:
             clearance = self._surroundings.clearance
             inputs = [woken, self.time_step, self.slots, clearance, self.resting_force]
             wp.launch(wake_contacts, dim=len(woken), inputs=inputs, device=self.device)
 
     def begin_step(self) -> None:
-        """Forget what the last step summed up."""
+        """Reset the sums of the last step."""
         self.impulse.zero_()
         self.deepest.zero_()
-        # What falls asleep at the end of the step has pressed in it awake.
+        # Clay that falls asleep at the end of this step is in the sums already.
         wp.copy(self._slept_force, self.resting_force)
         if self.meshes and self.meshes.hands:
-            self._take_hold()
+            self._fade_in_hands()
 
     def penetrations(self) -> list[tuple[Plane | MeshCollider | Hand, float]]:
         """How deep particles lie in each collider that they touch [m], where they do."""
@@ -178,18 +178,18 @@ class Contacts:
         np.maximum.at(depth, touched, -self.slots.gap.numpy()[held])
         return [(self.colliders[i], float(depth[i])) for i in np.flatnonzero(depth > 0.0)]
 
-    def force_on(self, which: int, duration: float) -> NDArray[np.float64]:
+    def force_on(self, index: int, duration: float) -> NDArray[np.float64]:
         """Mean force of the clay on a collider in the last step [N], shape [3].
 
         Args:
-            which: Its place among the colliders.
+            index: Index of the collider.
             duration: Length of the step [s].
         """
-        moving = self.impulse.numpy().sum(0)[which] / duration
-        return moving + self._slept_force.numpy()[which]
+        moving = self.impulse.numpy().sum(0)[index] / duration
+        return moving + self._slept_force.numpy()[index]
 
-    def _take_hold(self) -> None:
-        """Let hands that have just arrived take hold of the clay gradually."""
+    def _fade_in_hands(self) -> None:
+        """Raise the friction and recovery speed of hands that have just appeared gradually."""
         assert self.meshes is not None
         grasp = np.ones(len(self.colliders))
         speed = np.full(len(self.colliders), DEPENETRATION_SPEED)
@@ -202,10 +202,10 @@ class Contacts:
             self.slots.recovery_speed.assign(speed.astype(np.float32))
 
     def find(self, common: ContactPass) -> None:
-        """Find the contacts of a substep; those that were there before keep their anchors."""
+        """Find the contacts of a substep; those that persist keep their anchors."""
         around = self._surroundings
         if self.meshes:
-            # Arrays may have given way to larger ones.
+            # The array may have been replaced by a larger one.
             around.pose = self.meshes.pose
         self.launch(
             (find_all_contacts, passes_cpu.find_all_contacts),
@@ -228,10 +228,10 @@ class Contacts:
 
         Args:
             common: The substep.
-            change: What the last solve changed of the velocities [m/s].
-            residual: Impulse still missing at each particle [N s], added to.
-            diagonal: Each particle's block of the tangent [kg], added to.
-            own_block: Mass and contacts alone [kg], written where there may be contacts.
+            change: Velocity changes of the last solve [m/s].
+            residual: Residual impulse of each particle [N s], added to.
+            diagonal: Diagonal block of the tangent for each particle [kg], added to.
+            own_block: Mass and contact stiffness alone [kg], written where there may be contacts.
         """
         particles = self.particles
         self.launch(
@@ -253,7 +253,7 @@ class Contacts:
 
         Args:
             common: The substep.
-            change: What the last solve changed of the velocities [m/s].
+            change: Velocity changes of the last solve [m/s].
         """
         self.launch(
             (settle_all_contacts, passes_cpu.settle_all_contacts),
@@ -268,7 +268,7 @@ class Contacts:
         )
 
     def launch(self, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: Any) -> None:
-        """Run a pass, by the plain kernel or the CPU's; nothing where there are no colliders."""
+        """Run a pass with the plain kernel or the CPU's, if there are any colliders."""
         if not self.colliders:
             return
         plain, by_block = kernels
@@ -278,7 +278,7 @@ class Contacts:
             self.particles.launch(plain, *inputs)
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Anchors and what they hold on to, and where meshes stand."""
+        """State of the contacts and the mesh colliders."""
         if not self.colliders:
             return {}
         return {
@@ -295,7 +295,7 @@ class Contacts:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         if not self.colliders:
             return
         self.slots.count.assign(state["contact_count"])
@@ -312,5 +312,5 @@ class Contacts:
             self.meshes.restore(state)
 
 
-def _nothing(dtype: Any, device: wp.Device) -> wp.array:
+def _empty(dtype: Any, device: wp.Device) -> wp.array:
     return wp.zeros(0, dtype=dtype, device=device)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mesh colliders and hands on the device, and their way through a step."""
+"""Mesh colliders and hands on the device, and their motion through a step."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -25,7 +25,7 @@ OUT_OF_REACH = 1.0e6
 """Clearance of a mesh or hand that cannot be touched [m]."""
 
 BARELY = float(np.finfo(float).tiny)
-"""A motion that disturbs clay and asks for no substeps [m]."""
+"""A motion that wakes clay but needs no extra substeps [m]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -35,14 +35,14 @@ def blend_vertices(
     fraction: float,
     points: wp.array[wp.vec3],
 ) -> None:
-    """Move a deforming mesh to a fraction of its way."""
+    """Interpolate the vertices of a deforming mesh."""
     i = wp.tid()
     points[i] = start[i] + (end[i] - start[i]) * fraction
 
 
 @dataclass
 class _MovingMesh:
-    """One mesh collider on the device, and where it stood at the end of the last step."""
+    """One mesh collider on the device, and its shape at the end of the last step."""
 
     collider: MeshCollider
     mesh: wp.Mesh
@@ -50,30 +50,32 @@ class _MovingMesh:
     start: wp.array | None = None
     end: wp.array | None = None
     enabled: bool = True
-    """Whether the clay met it in the last step."""
+    """Whether clay could touch it in the last step."""
 
 
 class Sweep(NamedTuple):
-    """How a collider moves in a step. A wheel that turns, or a plate drawn along itself, meets
-    nothing on its way."""
+    """How far a collider's surface moves in a step.
+
+    A turning wheel, or a plate sliding in its own plane, moves far but sweeps through nothing.
+    """
 
     along: float
-    """Way of its surface along the normals [m]."""
+    """Largest motion along the surface normals [m]."""
     across: float
-    """Way in any direction of what is where clay is [m]."""
+    """Largest motion in any direction, near the clay [m]."""
     turn: float
-    """Angle [rad]."""
+    """Angle of rotation [rad]."""
 
 
 class MeshColliders:
     """All mesh colliders and hands of a scene.
 
     A collider's pose is split into a rigid part, which moves the query point, and a stretch,
-    which is applied to the vertices; only a change of shape refits the mesh. The skin of a hand
-    stands in the world as it is.
+    which is applied to the vertices; only a change of shape refits the mesh. The skin of a hand is
+    in world coordinates.
 
     Args:
-        scene: The colliders, at their poses of now.
+        scene: The colliders, at their current poses.
         particles: The clay.
     """
 
@@ -96,7 +98,7 @@ class MeshColliders:
         self.turning = wp.zeros(count, dtype=int, device=device)
         self.generation = 0
         self.substep = wp.zeros(1, dtype=int, device=device)
-        """Which of a step's substeps is under way; on the device, so that it can be recorded."""
+        """Index of the current substep; on the device, so that passes can be recorded."""
         self.clearance = wp.zeros((count, particles.count), dtype=float, device=device)
         self._targets: list[ColliderShape] = []
         faces = [len(hand.rig.faces) for hand in scene.hands]
@@ -105,34 +107,34 @@ class MeshColliders:
         self.first_face = wp.array(first_face, dtype=int, device=device)
         """Where the faces of each mesh begin in ``compliance``; -1 for a rigid one."""
         self.compliance = wp.zeros(int(begin[-1]), dtype=wp.vec4, device=device)
-        """How much flesh and joints give to a contact at each face of the hands [m/N]."""
+        """Compliance of flesh and joints at each face of the hands [m/N]."""
         self.hands = [
             SoftHand(
                 hand,
-                collider=len(scene.planes) + len(scene.meshes) + which,
-                row=len(scene.meshes) + which,
-                first_face=int(begin[which]),
+                collider=len(scene.planes) + len(scene.meshes) + index,
+                row=len(scene.meshes) + index,
+                first_face=int(begin[index]),
                 compliance=self.compliance,
                 travel=self.travel,
                 particles=particles,
             )
-            for which, hand in enumerate(scene.hands)
+            for index, hand in enumerate(scene.hands)
         ]
         self._contactless = [False] * count
-        """Meshes and hands that nothing could touch in the last step."""
+        """Whether each mesh and hand was untouchable in the last step."""
         self.mesh = wp.zeros(count, dtype=wp.uint64, device=device)
-        self._tell_meshes()
+        self._upload_meshes()
 
-    def _tell_meshes(self) -> None:
+    def _upload_meshes(self) -> None:
         ids = [m.mesh.id for m in self.moving] + [hand.mesh_id for hand in self.hands]
         self.mesh.assign(np.array(ids, np.uint64))
         mirrored = [m.shape.orientation for m in self.moving] + [1.0] * len(self.hands)
         self.orientation.assign(np.array(mirrored, np.float32))
 
     def begin_here(self) -> None:
-        """Take the poses and shapes of now for where meshes and hands have been all along.
+        """Start the coming step from the current poses and shapes of meshes and hands.
 
-        Whoever makes a solver and then sets where a tool is means that it begins there.
+        Poses set between the making of a solver and its first step are not motion.
         """
         for moving in self.moving:
             before = moving.shape
@@ -143,17 +145,17 @@ class MeshColliders:
                 moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
         for hand in self.hands:
             hand.begin_here()
-        self._tell_meshes()
+        self._upload_meshes()
 
     def farthest_motion(self, ignored: float) -> tuple[list[float], list[NDArray[np.float64]]]:
-        """How far any vertex of each collider is going to move in this step, and where.
+        """Find how far each collider's vertices will move in the coming step, and where.
 
         Args:
-            ignored: Motions that are surely less than this need not be exact [m].
+            ignored: Motions known to be smaller than this need not be exact [m].
 
         Returns:
-            Distances [m], and the boxes that the colliders sweep, shape [2, 3] each: lowest and
-            highest corner [m].
+            The largest vertex motion of each collider [m], and the box that it sweeps, shape
+            [2, 3]: lowest and highest corner [m].
         """
         self._targets = []
         motions = []
@@ -162,13 +164,13 @@ class MeshColliders:
             begin, end = moving.shape, shape_of(moving.collider, moving.shape)
             self._targets.append(end)
             if not (moving.enabled and moving.collider.enabled):
-                # It is nowhere, or comes or goes where it is: that disturbs what it touches there.
+                # Absent, or appearing or disappearing in place, which disturbs the clay there.
                 there = end if moving.collider.enabled else begin
                 corners = there.moved(there.corners)
                 motions.append(float(moving.enabled != moving.collider.enabled) * BARELY)
                 boxes.append(np.array([corners.min(0), corners.max(0)]))
                 continue
-            # An affine motion takes no point of a box farther than the farthest corner.
+            # In an affine motion, no point of a box moves farther than one of its corners.
             motion = longest(end.moved(begin.corners) - begin.moved(begin.corners))
             if end.vertices is not begin.vertices or motion > ignored:
                 motion = longest(end.moved(end.vertices) - begin.moved(begin.vertices))
@@ -181,18 +183,18 @@ class MeshColliders:
             boxes.append(box)
         return motions, boxes
 
-    def sweep(self, which: int, box: NDArray[np.float64], clay: NDArray[np.float64]) -> Sweep:
-        """How a collider's surface is going to move in this step, where it matters.
+    def sweep(self, index: int, box: NDArray[np.float64], clay: NDArray[np.float64]) -> Sweep:
+        """Find how far a collider's surface will move in the coming step, near the clay.
 
         Args:
-            which: The collider; `farthest_motion` comes first.
-            box: Lowest and highest corner of where it may meet clay [m], shape [2, 3].
-            clay: Those of where clay is now [m], shape [2, 3].
+            index: Index of the mesh; call `farthest_motion` first.
+            box: Lowest and highest corner of the space in which it may meet clay [m], [2, 3].
+            clay: Lowest and highest corner of the clay now [m], shape [2, 3].
         """
-        moving, end = self.moving[which], self._targets[which]
+        moving, end = self.moving[index], self._targets[index]
         begin = moving.shape
         first, last = begin.moved(begin.vertices), end.moved(end.vertices)
-        # By its velocity: from end to end the rim of a wheel would seem to cut through it.
+        # From velocities: straight paths from start to end would cut through a turning wheel.
         turn = rotation_vectors_from_matrices(end.rotation @ begin.rotation.T)
         shift = end.translation - begin.translation
         change = (end.vertices - begin.vertices) if end.vertices is not begin.vertices else None
@@ -202,19 +204,19 @@ class MeshColliders:
         faces = faces[((low < box[1]) & (high > box[0])).all(1)]
         along = across = change_across = 0.0
         for shape, points in ((begin, first), (end, last)):
-            way = shift + np.cross(turn, points - shape.translation)
+            motion = shift + np.cross(turn, points - shape.translation)
             if change is not None:
                 change_across = longest(change)
-                way = way + change @ shape.rotation.T
+                motion = motion + change @ shape.rotation.T
             corners = points[faces]
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
             size = np.linalg.norm(normal, axis=1)
-            drive = np.abs(np.einsum("fkd,fd->fk", way[faces], normal)).max(1, initial=0.0)
+            drive = np.abs(np.einsum("fkd,fd->fk", motion[faces], normal)).max(1, initial=0.0)
             along = max(along, float((drive / np.maximum(size, 1e-30)).max(initial=0.0)))
-            # What is rigid moves no faster anywhere in a box than at its fastest corner.
+            # In a rigid motion, no point of a box moves faster than its fastest corner.
             inside = np.clip(box_corners(points), *clay)
             slide = longest(shift + np.cross(turn, inside - shape.translation)) + change_across
-            across = max(across, min(slide, longest(way)))
+            across = max(across, min(slide, longest(motion)))
         return Sweep(along, across, float(np.linalg.norm(turn)))
 
     def begin_step(
@@ -226,15 +228,15 @@ class MeshColliders:
         teleported: list[bool],
         near: list[bool],
     ) -> None:
-        """Lay out the colliders' way through the coming substeps.
+        """Plan the colliders' motion through the coming substeps.
 
         Args:
-            duration: Of the step [s].
+            duration: Length of the step [s].
             substeps: Number of substeps.
-            motions: What `farthest_motion` gave [m].
-            boxes: What it gave [m].
-            teleported: Colliders that jump to their target at once instead of sweeping there.
-            near: Colliders that may meet clay on the way.
+            motions: Distances returned by `farthest_motion` [m].
+            boxes: Boxes returned by it [m].
+            teleported: Whether each collider jumps to its target instead of sweeping there.
+            near: Whether each collider may meet clay on the way.
         """
         targets = self._targets
         poses = np.zeros((len(motions), substeps + 1, 7), np.float32)
@@ -242,22 +244,22 @@ class MeshColliders:
         reach = np.array([0.5 * np.linalg.norm(box[1] - box[0]) for box in boxes], np.float32)
         travel = np.where(teleported, 0.0, np.array(motions) / substeps).astype(np.float32)
         turning = np.zeros(len(motions), bool)
-        for which, (moving, target) in enumerate(zip(self.moving, targets, strict=True)):
+        for index, (moving, target) in enumerate(zip(self.moving, targets, strict=True)):
             turned = target.orientation != moving.shape.orientation
-            sweeps = moving.enabled and moving.collider.enabled and not teleported[which]
+            sweeps = moving.enabled and moving.collider.enabled and not teleported[index]
             moving.enabled = moving.collider.enabled
             before = moving.shape if sweeps else target
-            self._show(which, present=moving.enabled, jumps=not sweeps)
+            self._update_clearance(index, present=moving.enabled, jumps=not sweeps)
             if turned:
                 moving.mesh = _make_mesh(moving.collider, target, self.device)
-            poses[which] = poses_between(before, target, substeps)
-            turning[which] = bool(np.ptp(poses[which, :, 3:], axis=0).max() > 1e-6)
+            poses[index] = poses_between(before, target, substeps)
+            turning[index] = bool(np.ptp(poses[index, :, 3:], axis=0).max() > 1e-6)
             if not sweeps:
-                travel[which] = 0.0
-            elif turning[which] or self._turned[which]:
-                travel[which] = 0.0
+                travel[index] = 0.0
+            elif turning[index] or self._turned[index]:
+                travel[index] = 0.0
                 if target.vertices is not before.vertices:
-                    travel[which] = longest(target.vertices - before.vertices) / substeps
+                    travel[index] = longest(target.vertices - before.vertices) / substeps
             if target.vertices is not before.vertices:
                 moving.start = wp.array(before.vertices, dtype=wp.vec3, device=self.device)
                 moving.end = wp.array(target.vertices, dtype=wp.vec3, device=self.device)
@@ -269,10 +271,10 @@ class MeshColliders:
                 moving.mesh.points.assign(target.vertices.astype(np.float32))
                 moving.mesh.refit()
                 moving.start = moving.end = None
-            reach[which] = 0.5 * box_diagonal(target.corners)
+            reach[index] = 0.5 * box_diagonal(target.corners)
             moving.shape = target
             if turned:
-                self._tell_meshes()
+                self._upload_meshes()
         self.reach.assign(reach)
         self.travel.assign(travel)
         self.turning.assign((turning | self._turned).astype(np.int32))
@@ -281,7 +283,7 @@ class MeshColliders:
         for hand in self.hands:
             jumps = teleported[hand.row]
             hand.begin_step(duration, jumps=jumps, near=near[hand.row])
-            self._show(hand.row, present=hand.present, jumps=jumps)
+            self._update_clearance(hand.row, present=hand.present, jumps=jumps)
         room = self.pose.shape[1]
         while room < substeps + 1:
             room *= 2
@@ -292,12 +294,12 @@ class MeshColliders:
         filled[:, : substeps + 1] = poses
         self.pose.assign(filled)
 
-    def _show(self, row: int, *, present: bool, jumps: bool) -> None:
-        """Let clay touch a mesh or hand or not; one that jumps may be anywhere now."""
+    def _update_clearance(self, row: int, *, present: bool, jumps: bool) -> None:
+        """Make a mesh or hand touchable or not; a jump voids its known clearance."""
         if not self.clearance.size:
             pass
         elif not present:
-            # In every step: clay that wakes has forgotten how far off everything is.
+            # In every step, because waking resets the clearance of particles.
             self.clearance[row].fill_(OUT_OF_REACH)
         elif jumps or self._contactless[row]:
             self.clearance[row].zero_()
@@ -319,7 +321,7 @@ class MeshColliders:
                 moving.mesh.refit()
 
     def snapshot(self) -> dict[str, NDArray]:
-        """Where the colliders stood at the end of the last step."""
+        """State of the colliders at the end of the last step."""
         state: dict[str, NDArray] = {
             "collider_clearance": self.clearance.numpy().copy(),
             "collider_poses_before": self._poses_before.copy(),
@@ -328,38 +330,38 @@ class MeshColliders:
         }
         for hand in self.hands:
             state |= hand.snapshot()
-        for which, moving in enumerate(self.moving):
+        for index, moving in enumerate(self.moving):
             for name in ("rotation", "translation", "vertices", "orientation"):
                 value = np.array(getattr(moving.shape, name))
-                state[f"collider_{which}_{name}"] = value
+                state[f"collider_{index}_{name}"] = value
         return state
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         self.clearance.assign(state["collider_clearance"])
         self._poses_before = state["collider_poses_before"].copy()
         self._turned = state["collider_turned"].copy()
         self._contactless = state["collider_contactless"].tolist()
-        for which, moving in enumerate(self.moving):
-            vertices = state[f"collider_{which}_vertices"].copy()
+        for index, moving in enumerate(self.moving):
+            vertices = state[f"collider_{index}_vertices"].copy()
             moving.shape = ColliderShape(
-                state[f"collider_{which}_rotation"].copy(),
-                state[f"collider_{which}_translation"].copy(),
+                state[f"collider_{index}_rotation"].copy(),
+                state[f"collider_{index}_translation"].copy(),
                 vertices,
                 box_corners(vertices),
-                float(state[f"collider_{which}_orientation"]),
+                float(state[f"collider_{index}_orientation"]),
                 -1,
             )
             moving.start = moving.end = None
             moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
-            moving.enabled = not self._contactless[which]
-        self._tell_meshes()
+            moving.enabled = not self._contactless[index]
+        self._upload_meshes()
         for hand in self.hands:
             hand.restore(state)
 
 
 def _make_mesh(collider: MeshCollider, shape: ColliderShape, device: wp.Device) -> wp.Mesh:
-    """The mesh on the device; a mirrored one is turned outside out again."""
+    """Make the mesh on the device, with its faces flipped if the pose mirrors it."""
     faces = collider.faces if shape.orientation > 0.0 else collider.faces[:, ::-1]
     return wp.Mesh(
         points=wp.array(shape.vertices, dtype=wp.vec3, device=device),

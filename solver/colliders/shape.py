@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shape of a mesh collider where it stands, and its way from one place to the next."""
+"""Pose and shape of a mesh collider, and its motion between two of them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..scene.scene import MeshCollider
 
 @dataclass
 class ColliderShape:
-    """Where a mesh collider stands, and what it looks like there."""
+    """Pose and shape of a mesh collider."""
 
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
     vertices: NDArray[np.float64]
     """Stretched, in the frame that moves with the collider [m], shape [V, 3]."""
     corners: NDArray[np.float64]
-    """Of their box, shape [8, 3]."""
+    """Corners of the vertices' bounding box [m], shape [8, 3]."""
     orientation: float
-    """-1 where the pose mirrors."""
+    """-1 if the pose mirrors, else 1."""
     version: int
     """`MeshCollider.shape_version`."""
 
     def moved(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points of the moving frame in the world."""
+        """Transform points from the moving frame to the world [m], shape [N, 3]."""
         return points @ self.rotation.T + self.translation
 
 
@@ -42,7 +42,7 @@ def shape_of(collider: MeshCollider, before: ColliderShape | None) -> ColliderSh
     if before and vertices.shape == before.vertices.shape:
         tolerance = 1e-6 * box_diagonal(before.corners)
         if np.abs(vertices - before.vertices).max() <= tolerance:
-            # It only turned: keep the very same vertices, so that the mesh need not be refitted.
+            # Only rotated: keep the same array, so that the mesh need not be refitted.
             vertices = before.vertices
     orientation = 1.0 if np.linalg.det(stretch) > 0.0 else -1.0
     version = collider.shape_version
@@ -55,14 +55,14 @@ _UPPER = np.array([[(k >> axis) & 1 for axis in range(3)] for k in range(8)], bo
 
 
 def box_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of a box around vertices [m], shape [8, 3]."""
-    # Extremes of many short rows are slow to find; of three long ones they are not.
+    """Corners of the bounding box of vertices [m], shape [8, 3]."""
+    # NumPy finds the extremes of three long rows much faster than those of many short ones.
     axes = vertices.T.copy()
     return np.where(_UPPER, axes.max(1), axes.min(1))
 
 
 def poses_between(start: ColliderShape, end: ColliderShape, substeps: int) -> NDArray[np.float32]:
-    """Poses from start to end: straight, at constant angular velocity; shape [S + 1, 7]."""
+    """Interpolate poses linearly and at constant angular velocity, shape [S + 1, 7]."""
     fraction = np.linspace(0.0, 1.0, substeps + 1)[:, None]
     first = quaternions_from_matrices(start.rotation)
     last = first if end.rotation is start.rotation else quaternions_from_matrices(end.rotation)
@@ -77,5 +77,5 @@ def box_diagonal(corners: NDArray[np.float64]) -> float:
 
 
 def longest(vectors: NDArray[np.float64]) -> float:
-    """Length of the longest of some vectors [m]."""
+    """Length of the longest vector [m]."""
     return float(np.sqrt(np.einsum("ij,ij->i", vectors, vectors).max()))

@@ -12,9 +12,9 @@ contact up to a distance of `MARGIN`, and is pulled back by at most the adhesion
 friction as a load does (Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53,
 1975).
 
-A soft surface, that of a hand, yields to pressure, but later and in a separate solve. A contact
-with it is a spring in series with the clay's: its far end is where the surface would be without the
-contact's force, which is its current position with what it has given way so far undone.
+The soft surface of a hand yields to pressure, but later and in a separate solve. In a contact with
+it, the surface is a spring in series with the clay's. The far end of that spring is where the
+surface would be without the contact force: its current position, less what it has yielded so far.
 """
 
 import warp as wp
@@ -30,11 +30,11 @@ MARGIN = 0.25
 CONTACT_STIFFNESS = 2.0
 """Stiffness of a contact, relative to that of the clay around the particle."""
 SOFT_DEPTH = 1.0
-"""Depth beyond which soft surfaces push as if they were rigid, in radii of a particle."""
+"""Depth beyond which soft surfaces push as if they were rigid, in particle radii."""
 STICKING = 1.0e-3
 """Smallest load of a sticking contact, as a share of its adhesion."""
 UNKNOWN_SLIDE = 1.0e9
-"""Bound of the assumed slip for a new contact: none [m]."""
+"""Bound on the assumed slip of a new contact, effectively none [m]."""
 
 
 @wp.struct
@@ -48,7 +48,7 @@ class ContactPass:
     margin: float
     """Distance at which contacts are found [m]."""
     yielding: wp.vec2
-    """Shares of the way to equilibrium that flesh and joints cover in this substep."""
+    """How far flesh and joints move towards equilibrium in this substep, as fractions."""
 
 
 @wp.struct
@@ -90,13 +90,13 @@ class ContactSlots:
     """Compliance of a soft surface normal to and along itself [m/N], 0 if it is rigid. This array
     and those below have no rows if no collider is soft."""
     borne: wp.array2d[wp.vec3]
-    """Part of the force on the particle that flesh has yielded to so far [N]."""
+    """Part of the force on the particle to which flesh has yielded so far [N]."""
     borne_before: wp.array2d[wp.vec3]
     held: wp.array2d[wp.vec3]
-    """Part of it that joints have yielded to [N]."""
+    """Part of the force to which joints have yielded so far [N]."""
     held_before: wp.array2d[wp.vec3]
     lean: wp.array2d[wp.vec3]
-    """How far both have given way [m]."""
+    """Displacement by which flesh and joints together have yielded [m]."""
     face: wp.array2d[int]
     """Face of the contact on a soft surface; ``place`` has the barycentric coordinates."""
     place: wp.array2d[wp.vec2]
@@ -104,7 +104,7 @@ class ContactSlots:
 
 @wp.func
 def tangential(vector: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """The part of a vector along a surface."""
+    """Component of a vector along a surface."""
     return vector - normal * wp.dot(vector, normal)
 
 
@@ -122,11 +122,11 @@ def press_contacts(
     own_block: wp.array[wp.mat33],
     i: int,
 ) -> None:
-    """Add contact impulses and their tangent to the system: the one contact law.
+    """Add contact impulses and their tangent to the system: the only contact law.
 
-    A contact pushes with a stiffness times its penetration, tangentially with that stiffness
-    times the slip of its anchor, but at most μ times the normal impulse that the last solve
-    applied: the penetration at a velocity not yet solved for would allow a far larger one.
+    The normal force is a stiffness times the penetration; friction is the same stiffness times the
+    slip of the anchor, but at most μ times the normal impulse that the last solve applied. The
+    penetration at a velocity not yet solved for would allow a far larger one.
     """
     dt = common.time_step
     block = wp.identity(n=3, dtype=float) * mass[material[i]]
@@ -156,7 +156,7 @@ def press_contacts(
                 # far end is where the surface would be without the force.
                 lean = slots.lean[i, k]
                 depth += wp.dot(lean, n)
-                # Deeper than flesh can give way in time it is like bone: nothing gets through.
+                # Deeper than flesh can yield in time, it is like bone: nothing gets through.
                 inner = gap + SOFT_DEPTH * common.radius
                 allowed = wp.min(inner + wp.min(speed, DEPENETRATION_SPEED) * dt, 0.0)
                 beyond = allowed - inner - wp.dot(relative, n)
@@ -242,7 +242,7 @@ def settle_contacts(
 ) -> None:
     """Sum the impulses that the solve applied, and let anchors stretch or slide.
 
-    The impulse is the linearized one of the solve, by which momentum really changed.
+    The impulse is the linearized one of the solve, which is what changed the momentum.
     """
     dt = common.time_step
     for k in range(slots.count[i]):
@@ -304,7 +304,7 @@ def rest_contacts(
     slots: ContactSlots,
     force: wp.array[wp.vec3d],
 ) -> None:
-    """Keep the forces of particles that fall asleep on colliders.
+    """Store the contact forces of particles that fall asleep.
 
     While they sleep, their slots hold forces [N] instead of impulses.
     """
@@ -322,7 +322,7 @@ def wake_contacts(
     clearance: wp.array2d[float],
     force: wp.array[wp.vec3d],
 ) -> None:
-    """Release those forces; contacts must be searched again."""
+    """Turn stored forces back into impulses, and have contacts searched again."""
     i = woken[wp.tid()]
     for k in range(slots.count[i]):
         wp.atomic_add(force, slots.collider[i, k], wp.vec3d(slots.impulse[i, k]))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The passes over contacts for the CPU, which skip the many particles that touch nothing.
+"""Contact passes for the CPU, which skip the many particles that touch nothing.
 
-A block of particles is screened for those near a collider; the contact law itself is that of `law`.
+Each block of particles is screened for those near a collider; the contact law is that of `law`.
 A test compares the screening with `search.comes_near`.
 """
 
@@ -26,7 +26,7 @@ class Near:
 
 
 def make_near(particle_count: int, device: wp.Device) -> Near:
-    """Lists with room for all particles."""
+    """Allocate lists with room for all particles."""
     blocks = (particle_count + BLOCK - 1) // BLOCK
     near = Near()
     near.count = wp.zeros(blocks, dtype=int, device=device)
@@ -42,7 +42,7 @@ def make_near(particle_count: int, device: wp.Device) -> Near:
     const float dt = common.time_step, dt_before = common.time_step_before;
     const float reach = common.radius + common.margin;
     const int substep = meshes ? around.substep.data[0] : 0;
-    // A point in the coordinates of a pose: place, then quaternion.
+    // A point in the frame of a pose, which is a position followed by a quaternion.
     auto seen_from = [&](const float* pose, f4 x) __attribute__((always_inline)) {
         const f4 offset = x - load3(pose), axis = -load3(pose + 3);
         const f4 turned = cross(axis, offset) * 2.f;

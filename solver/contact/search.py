@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which planes and meshes a particle may touch in a substep."""
+"""Search for the planes and meshes that a particle may touch in a substep."""
 
 import warp as wp
 
@@ -20,7 +20,7 @@ def add_contact(
     face: int,
     place: wp.vec2,
 ) -> None:
-    """Add a contact to a particle, with the anchor that it already had on this collider."""
+    """Add a contact to a particle, keeping the anchor that it had on this collider."""
     used = slots.count[i]
     if used < MAX_CONTACTS:
         slots.collider[i, used] = collider
@@ -118,7 +118,7 @@ def comes_near(
     slots: ContactSlots,
     i: int,
 ) -> bool:
-    """Tell whether a particle may touch something in this substep, or touched it in the last."""
+    """Whether a particle may touch something in this substep, or touched it in the last."""
     near = bool(slots.count[i] > 0)
     x = position[i]
     v = velocity[i]
@@ -150,7 +150,7 @@ def find_contacts(
     slots: ContactSlots,
     i: int,
 ) -> None:
-    """Find what a particle may touch in this substep; `comes_near` comes first."""
+    """Find the contacts of a particle in this substep; call `comes_near` first."""
     for k in range(slots.count[i]):
         slots.collider_before[i, k] = slots.collider[i, k]
         slots.anchor_before[i, k] = slots.anchor[i, k]
@@ -184,7 +184,7 @@ def find_contacts(
             reach = wp.min(reach, 4.0 * near)
             query = wp.mesh_query_point_no_sign(around.mesh[mesh], local, reach)
         elif around.first_face[mesh] >= 0:
-            # For a mesh that deforms all the time, winding numbers would cost more than all else.
+            # In a mesh that deforms in every substep, winding numbers would dominate the cost.
             query = wp.mesh_query_point_sign_normal(around.mesh[mesh], local, reach)
             sign = query.sign
         else:
@@ -251,7 +251,7 @@ def find_all_contacts(
     velocity: wp.array[wp.vec3],
     slots: ContactSlots,
 ) -> None:
-    """Find what each particle may touch in this substep."""
+    """Find the contacts of each particle in this substep."""
     i = awake_particle(awake, wp.tid())
     if i >= 0 and comes_near(common, around, position, velocity, slots, i):
         find_contacts(common, around, position, velocity, slots, i)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which particles passes work on."""
+"""The awake particles, as kernels see them."""
 
 import warp as wp
 
@@ -9,7 +9,7 @@ class Awake:
     """The particles that passes work on."""
 
     count: wp.array[int]
-    """Number of them; on the device, so that recorded passes can be replayed when it changes."""
+    """How many; on the device, so that recorded passes can be replayed when it changes."""
     index: wp.array[int]
     part: int
     """Index of this part of the particles: each CPU thread works on one and has its own sums."""

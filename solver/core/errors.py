@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The class that all errors of the project have in common."""
+"""The base class of the project's errors."""
 
 
 class TactileClayError(Exception):
-    """Something cannot be done; the message says what is wrong and what to do, for a person."""
+    """Something cannot be done; the message tells the user what is wrong and what to do."""

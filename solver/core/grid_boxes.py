@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which box of a grid a point lies in."""
+"""The grid box in which a point lies."""
 
 import warp as wp
 

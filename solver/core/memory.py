@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much device memory the parts of a solver hold."""
+"""Device memory held by the parts of a solver."""
 
 import warp as wp
 
 
 def bytes_held(part: object, seen: set[int]) -> int:
-    """Memory of all device arrays that an object holds directly or through others [bytes]."""
+    """Size of all device arrays reachable from an object, except those already seen [bytes]."""
     if id(part) in seen:
         return 0
     seen.add(id(part))

@@ -25,9 +25,9 @@ def fall_freely(
     velocity_free: wp.array[wp.vec3],
     quarantined: wp.array[int],
 ) -> None:
-    """Predict velocities without any inner or contact force.
+    """Predict velocities without any internal or contact force.
 
-    A velocity that is not finite is taken for rest: it must not reach the others.
+    A velocity that is not finite is set to zero, so that it does not spread to other particles.
     """
     i = awake_particle(awake, wp.tid())
     if i < 0:
@@ -65,12 +65,12 @@ def move(
 
 
 def zeros_with_room(count: int, dtype: Any, device: wp.Device) -> wp.array:
-    """An array with room behind the last: vector units read four floats at a time."""
+    """Zeros with room for one more at the end: vector units read four floats at a time."""
     return wp.zeros(count + 1, dtype=dtype, device=device)[:count]
 
 
 class ByPart(list[Any]):
-    """Something that each part of the particles has its own of."""
+    """A list with one item for each part of the particles."""
 
     @classmethod
     def rows(cls, array: wp.array) -> ByPart:
@@ -78,17 +78,17 @@ class ByPart(list[Any]):
         return cls([array[part] for part in range(array.shape[0])])
 
 
-def _own(inputs: Sequence[Any], part: int) -> list[Any]:
-    """What one part gets of inputs, some of which may be `ByPart`."""
+def _inputs_of_part(inputs: Sequence[Any], part: int) -> list[Any]:
+    """Inputs for one part, which gets its own item of each `ByPart`."""
     return [item[part] if isinstance(item, ByPart) else item for item in inputs]
 
 
-SMALL = 1024
+MIN_DIVIDED = 1024
 """Fewer particles than this are not worth dividing among threads."""
 
 
 class HasDensity(Protocol):
-    """What particles need to know of a material."""
+    """The property of a material that particles need."""
 
     @property
     def density(self) -> float:
@@ -96,15 +96,15 @@ class HasDensity(Protocol):
 
 
 class ParticleSource(Protocol):
-    """Where particles come from: a `Scene`."""
+    """The source of particles: a `Scene`."""
 
     @property
     def particle_count(self) -> int:
-        """How many there are."""
+        """Number of particles."""
 
     @property
     def spacing(self) -> float:
-        """Distance between them [m]."""
+        """Particle spacing [m]."""
 
     @property
     def gravity(self) -> tuple[float, float, float]:
@@ -121,7 +121,7 @@ class ParticleSource(Protocol):
 
 
 class Particles:
-    """What every clay model works on.
+    """The particles that every clay model works on.
 
     Args:
         source: Where particles, materials and gravity come from.
@@ -131,17 +131,17 @@ class Particles:
     def __init__(self, source: ParticleSource, device: wp.Device) -> None:
         self.device = device
         self.count = source.particle_count
-        self.parts = 2 if device.is_cpu and self.count >= SMALL else 1
-        """Parts that passes by block work on, one after the other or side by side."""
+        self.parts = 2 if device.is_cpu and self.count >= MIN_DIVIDED else 1
+        """Number of parts that passes by block are split into, run in turn or in parallel."""
         self.spacing = source.spacing
         self.gravity = source.gravity
         materials, indices = source.materials()
         volume = source.spacing**3
         masses = [m.density * volume for m in materials]
-        self.least_mass = min(masses, default=volume)
-        """Of all particles [kg]."""
+        self.min_mass = min(masses, default=volume)
+        """Smallest mass of a particle [kg]."""
         self.material = wp.array(indices, dtype=int, device=device)
-        """Each particle's place among the materials."""
+        """Index of each particle's material."""
         self.mass = wp.array(masses, dtype=float, device=device)
         """Mass of a particle of each material [kg]."""
         self.position = zeros_with_room(self.count, wp.vec3, device)
@@ -151,31 +151,31 @@ class Particles:
         """[m/s], at the middle of a substep."""
         self.velocity.assign(source.initial_velocities())
         self.velocity_free = wp.zeros(self.count, dtype=wp.vec3, device=device)
-        """Velocities that nothing but gravity has changed in this substep [m/s]."""
+        """Velocities to which only gravity has been applied in this substep [m/s]."""
         self.speed_limit = wp.zeros(1, dtype=float, device=device)
         self.clamped = wp.zeros((self.parts, 1), dtype=int, device=device)
-        """Particles that were held to the speed limit, by part."""
+        """How often a particle was slowed to the speed limit, by part."""
         self.quarantined = wp.zeros((self.parts, 1), dtype=int, device=device)
-        """Particles whose state was not finite, by part."""
+        """How often a particle's state was not finite, by part."""
         self.awake = self._make_share(0)
         self.threads = self.count
-        """Threads in a pass: at least as many as particles are awake."""
+        """Number of threads in a pass, at least that of awake particles."""
         self.part: int | None = None
         """The only part to launch passes for, while they are recorded for one thread."""
         self._loaded: set[wp.Kernel] = set()
         self._barrier = wp.zeros(64, dtype=int, device=device)
         self._shares = [self._make_share(part) for part in range(self.parts)]
         self.resting = wp.zeros(self.count, dtype=int, device=device)
-        """1 for a particle that sleeps."""
+        """1 for a sleeping particle, else 0."""
         self.set_awake(np.arange(self.count))
         self.awake_box = self.box()
-        """Lowest and highest corner of what is awake [m], shape [2, 3]."""
+        """Lowest and highest corner of the awake particles [m], shape [2, 3]."""
 
     def set_awake(self, index: NDArray[np.int64]) -> None:
-        """Choose the particles that passes work on from here.
+        """Set the particles that passes work on from now on.
 
         Args:
-            index: Which, ascending.
+            index: Their indices, ascending.
         """
         shares = np.array_split(index, self.parts)
         for share, own in ((self.awake, index), *zip(self._shares, shares, strict=True)):
@@ -187,28 +187,28 @@ class Particles:
         resting[index] = 0
         self.resting.assign(resting)
         self._awake_index = index
-        # Few different numbers of threads: each is recorded once, and idle blocks cost little.
-        threads = SMALL
+        # Few distinct thread counts: each is recorded once, and idle blocks cost little.
+        threads = MIN_DIVIDED
         while threads < len(index):
             threads *= 4
         self.threads = min(self.count, threads)
 
     def awake_index(self) -> NDArray[np.int64]:
-        """Which particles are awake, ascending."""
+        """Indices of the awake particles, ascending."""
         return self._awake_index
 
     def launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Run a pass over the particles that are awake; ``Awake`` is its first argument."""
-        own = _own(inputs, self.awake.part)
+        own = _inputs_of_part(inputs, self.awake.part)
         wp.launch(kernel, dim=self.threads, inputs=[self.awake, *own], device=self.device)
 
     def run(self, plain: wp.Kernel, by_block: wp.Kernel, *inputs: Any) -> None:
-        """Run a pass by the kernel that the device is served best by.
+        """Run a pass with the kernel that suits the device.
 
         Args:
-            plain: Takes a particle a thread, for graphics cards.
-            by_block: Does the same for the CPU.
-            inputs: Of both.
+            plain: Kernel with one particle per thread, for GPUs.
+            by_block: Kernel with one block per thread, for the CPU.
+            inputs: Arguments of both kernels.
         """
         if self.device.is_cpu:
             self.launch_blocks(by_block, *inputs)
@@ -217,7 +217,7 @@ class Particles:
 
     @contextmanager
     def only(self, part: int | None) -> Iterator[None]:
-        """Launch passes for one part alone, which wait for those of the others."""
+        """Launch passes for one part only; each waits for its counterparts."""
         self.part = part
         try:
             yield
@@ -232,23 +232,23 @@ class Particles:
         return share
 
     def launch_blocks(self, kernel: wp.Kernel, *inputs: Any) -> None:
-        """Run a pass whose threads take a block of particles each.
+        """Run a pass with one block of particles per thread.
 
-        Of an input that is `ByPart`, each part gets its own.
+        Each part gets its own item of inputs that are `ByPart`.
         """
         part = -(-self.threads // self.parts)
         blocks = -(-part // BLOCK)
         self._launch_by_part(kernel, blocks, [ByPart(self._shares), *inputs])
 
     def launch_side_by_side(self, kernel: wp.Kernel, *inputs: Any) -> None:
-        """Run a pass of a thread a particle, each part on a processor of its own if there are two.
+        """Run a pass with one particle per thread, the parts in parallel on two processors.
 
-        What the threads write must not be read by others. Not for recordings.
+        Threads must not read what others write. Must not be recorded.
         """
         threads = -(-self.threads // self.parts)
 
         def run(part: int) -> None:
-            own = [self._shares[part], *_own(inputs, part)]
+            own = [self._shares[part], *_inputs_of_part(inputs, part)]
             wp.launch(kernel, dim=threads, inputs=own, device=self.device)
 
         if self.parts == 1 or processor_count() == 1 or kernel not in self._loaded:
@@ -261,28 +261,28 @@ class Particles:
         other.result()
 
     def launch_once(self, kernel: wp.Kernel, *inputs: Any) -> None:
-        """Run a pass of one thread; each part does it for itself."""
+        """Run a pass of a single thread once for each part."""
         self._launch_by_part(kernel, 1, list(inputs), wait=False)
 
     def _launch_by_part(
         self, kernel: wp.Kernel, dim: int, inputs: list[Any], *, wait: bool = True
     ) -> None:
         for part in range(self.parts) if self.part is None else (self.part,):
-            wp.launch(kernel, dim=dim, inputs=_own(inputs, part), device=self.device)
+            wp.launch(kernel, dim=dim, inputs=_inputs_of_part(inputs, part), device=self.device)
         if self.part is not None and wait:
             meeting = [self._barrier, self.parts]
             wp.launch(particles_cpu.wait_for_others, dim=1, inputs=meeting, device=self.device)
 
     def zero(self, sums: ByPart) -> None:
-        """Set to zero what each part sums up."""
+        """Reset the sums of each part."""
         for part in range(self.parts) if self.part is None else (self.part,):
             sums[part].zero_()
 
     def fall_freely(self, time_step: float, time_step_before: float) -> None:
         """Set ``velocity_free``.
 
-        Velocities are those of the middle of a substep, so gravity acts from middle to middle:
-        free fall is exact whatever the substeps (leapfrog).
+        Velocities belong to the middle of a substep, so gravity acts from middle to middle
+        (leapfrog): free fall is exact for any substeps.
         """
         kick = wp.vec3(*self.gravity) * (0.5 * (time_step + time_step_before))
         self.run(
@@ -295,7 +295,7 @@ class Particles:
         )
 
     def move(self, time_step: float) -> None:
-        """Move with the velocities, no faster than the speed limit."""
+        """Move particles by their velocities, no faster than the speed limit."""
         self.run(
             move,
             particles_cpu.move,
@@ -323,7 +323,7 @@ class Particles:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Take up the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         self.position.assign(state["position"])
         self.velocity.assign(state["velocity"])
         clamped, quarantined = state["particle_faults"]

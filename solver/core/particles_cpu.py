@@ -19,7 +19,7 @@ wp.set_module_options(OPTIONS)
         """
     const long long k = 3 * (long long)i;
     float* now = (float*)v + k;
-    // A sum that is not finite has a part that is not.
+    // A sum with a part that is not finite is not finite either.
     if (!(__builtin_fabsf(now[0] + now[1] + now[2]) < __builtin_inff())) {
         now[0] = now[1] = now[2] = 0.f;
         bad++;
@@ -111,8 +111,8 @@ def move(
     move_block(wp.tid(), awake, time_step, velocity, position, speed_limit, clamped, quarantined)
 
 
-# Threads wait a moment for each other, then let others have the processor: the one waited for may
-# be waiting for it.
+# Threads spin for a moment, then yield the processor: the thread they wait for may be waiting for
+# it.
 @wp.func_native("""{
 #if defined(__linux__) || defined(__APPLE__)
     int yield_processor(void) __asm__("sched_yield");
@@ -139,5 +139,5 @@ def wait(counter: wp.array[int], parts: int) -> None: ...
 
 @wp.kernel(enable_backward=False)
 def wait_for_others(counter: wp.array[int], parts: int) -> None:
-    """Wait until the threads of all parts have come here."""
+    """Wait until the threads of all parts have arrived."""
     wait(counter, parts)

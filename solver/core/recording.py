@@ -30,20 +30,20 @@ _Record = Callable[[Callable[[], None], int | None], wp.Graph]
 
 
 class _Recording:
-    """One sequence of passes, replayed by one thread or by two, whichever is faster at present.
+    """One sequence of passes, replayed by one thread or by two, whichever is currently faster.
 
     Two threads are slower than one if other programs keep the second processor busy. Each variant
     is recorded when it is first used, because recording costs more than launching.
 
     Args:
         record: Records what a function launches, for one part or for all.
-        way: Number of extra threads to start with; None if there is only one.
+        extra_threads: Extra threads to start with, 0 or 1; None if a second cannot help.
     """
 
-    def __init__(self, record: _Record, way: int | None) -> None:
+    def __init__(self, record: _Record, extra_threads: int | None) -> None:
         self._record = record
         self._graphs: dict[int | None, wp.Graph] = {}
-        self.way = way
+        self.extra_threads = extra_threads
         self._seconds = [math.inf, math.inf]
         self._runs = 0
 
@@ -54,28 +54,29 @@ class _Recording:
 
     def replay(self, launch: Callable[[], None]) -> None:
         """Run what ``launch`` launches."""
-        if self.way is None:
+        if self.extra_threads is None:
             wp.capture_launch(self._graph(None, launch))
             return
-        # Now and then both are timed again: the load of the machine may have changed.
+        # Both are timed again now and then, because the load of the machine may have changed.
         trial = (self._runs - TRIAL_START) % TRIAL_INTERVAL
         tries = self._runs >= TRIAL_START and trial < 2 * TRIAL_RUNS
         if trial == 0:
             self._seconds = [math.inf, math.inf]
-        way = int(trial >= TRIAL_RUNS) if tries else self.way
+        extra_threads = int(trial >= TRIAL_RUNS) if tries else self.extra_threads
         self._runs += 1
-        graphs = [self._graph(part, launch) for part in ((0, 1) if way else (None,))]
+        graphs = [self._graph(part, launch) for part in ((0, 1) if extra_threads else (None,))]
         begin = time.perf_counter()
-        if way:
+        if extra_threads:
             other = helper_thread().submit(wp.capture_launch, graphs[1])
             wp.capture_launch(graphs[0])
             other.result()
         else:
             wp.capture_launch(graphs[0])
         if tries:
-            self._seconds[way] = min(self._seconds[way], time.perf_counter() - begin)
+            seconds = time.perf_counter() - begin
+            self._seconds[extra_threads] = min(self._seconds[extra_threads], seconds)
             if trial == 2 * TRIAL_RUNS - 1:
-                self.way = int(self._seconds[1] < self._seconds[0])
+                self.extra_threads = int(self._seconds[1] < self._seconds[0])
 
 
 class Recordings:
@@ -92,7 +93,7 @@ class Recordings:
     def __init__(self, particles: Particles, *, by_part: bool = True) -> None:
         self.particles = particles
         side_by_side = by_part and particles.parts == 2 and processor_count() > 1
-        self._way: int | None = 1 if side_by_side else None
+        self._extra_threads: int | None = 1 if side_by_side else None
         self._recordings: dict[Hashable, _Recording] = {}
         self._seen: set[Hashable] = set()
 
@@ -108,10 +109,10 @@ class Recordings:
                 return
             if len(self._recordings) >= MAX_RECORDINGS:
                 del self._recordings[next(iter(self._recordings))]
-            recording = self._recordings[key] = _Recording(self._record, self._way)
+            recording = self._recordings[key] = _Recording(self._record, self._extra_threads)
         recording.replay(launch)
         # The next recording starts with the variant that proved faster.
-        self._way = recording.way
+        self._extra_threads = recording.extra_threads
 
     def _record(self, launch: Callable[[], None], part: int | None) -> wp.Graph:
         with (
@@ -123,6 +124,6 @@ class Recordings:
         return capture.graph
 
     def clear(self) -> None:
-        """Forget all recordings, when arrays that they use are replaced."""
+        """Drop all recordings, because arrays that they use were replaced."""
         self._recordings.clear()
         self._seen.clear()

@@ -20,7 +20,7 @@ SLEEP_SPEED = 0.002
 """Clay slower than this counts as at rest, in spacings per second."""
 SLEEP_DELAY = 0.25
 """Time that a region must be at rest before it falls asleep [s]."""
-RELAY_TRAVEL = 2.0
+LAYOUT_TRAVEL = 2.0
 """Regions are laid out again when clay may have moved this far, in spacings."""
 WAKE_TRAVEL = 0.1
 """A region wakes its neighbors when its clay may have moved this far, in spacings."""
@@ -77,7 +77,7 @@ def measure_boxes(
 
 
 class Regions:
-    """Which parts of the clay are awake.
+    """The regions of the clay, and which of them are awake.
 
     Args:
         particles: The clay.
@@ -97,7 +97,7 @@ class Regions:
     @property
     def outgrown(self) -> bool:
         """Whether clay may have moved so far that regions should be laid out again."""
-        return self._way > RELAY_TRAVEL * self.particles.spacing
+        return self._layout_travel > LAYOUT_TRAVEL * self.particles.spacing
 
     def lay_out(self) -> NDArray[np.int64]:
         """Lay a grid of regions over the clay.
@@ -128,7 +128,7 @@ class Regions:
         self.measures = self._make_measures(count)
         self.boxes = np.zeros((count, 2, 3))
         self.speed = np.zeros(count)
-        self._way = 0.0
+        self._layout_travel = 0.0
         self._measure_sleeping()
         self.measure(0.0)
         return np.flatnonzero(~self._awake & ~self.asleep[region])
@@ -179,7 +179,7 @@ class Regions:
         self.speed[:] = 0.0
         self.speed[awake] = np.sqrt(np.maximum(measures[awake, 6], 0.0))
         self._find_awake_box()
-        self._way += self.fastest * duration
+        self._layout_travel += self.fastest * duration
 
     def doze(self, duration: float) -> NDArray[np.bool_]:
         """Update how long regions have been at rest, after a step of ``duration`` [s].
@@ -198,16 +198,16 @@ class Regions:
         return ~self.asleep & calm & (self.quiet > SLEEP_DELAY)
 
     def disturbed(
-        self, boxes: list[NDArray[np.float64]], unheld: NDArray[np.bool_]
+        self, boxes: list[NDArray[np.float64]], unsupported: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Find the regions that must wake before the next step.
 
         Args:
             boxes: Boxes swept by moving colliders, shape [2, 3] each [m].
-            unheld: Whether nothing holds a region any more, shape [R].
+            unsupported: Whether each region has lost its support, shape [R].
         """
         moved = self.travel > WAKE_TRAVEL * self.particles.spacing
-        wake = self._spread(moved) | unheld
+        wake = self._spread(moved) | unsupported
         self.travel[moved] = 0.0
         margin = 1.5 * self.particles.spacing
         for low, high in boxes:
@@ -263,18 +263,18 @@ class Regions:
             "region_travel": self.travel.copy(),
             "region_boxes": self.boxes.copy(),
             "region_speed": self.speed.copy(),
-            "region_way": np.array([self._way]),
+            "region_way": np.array([self._layout_travel]),
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         self.generation += 1
         self._awake = state["region_awake"].copy()
         self.region.assign(state["region_of_particle"])
         self.shape = tuple(int(n) for n in state["region_shape"])
         for name in ("asleep", "quiet", "travel", "boxes", "speed"):
             setattr(self, name, state[f"region_{name}"].copy())
-        self._way = float(state["region_way"][0])
+        self._layout_travel = float(state["region_way"][0])
         count = len(self.asleep)
         self.measures = self._make_measures(count)
         self.particles.set_awake(np.flatnonzero(self._awake))

@@ -15,11 +15,11 @@ wp.set_module_options(OPTIONS)
         """
     const float* x = (const float*)position.data + 3 * (long long)i;
     const float* v = (const float*)velocity.data + 3 * (long long)i;
-    float* most_of = measures.data + stride * region.data[i];
+    float* maxima = measures.data + stride * region.data[i];
     const float found[7] = {
         x[0], x[1], x[2], -x[0], -x[1], -x[2], v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     };
-    for (int k = 0; k < 7; k++) most_of[k] = found[k] > most_of[k] ? found[k] : most_of[k];
+    for (int k = 0; k < 7; k++) maxima[k] = found[k] > maxima[k] ? found[k] : maxima[k];
 """,
     )
 )

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The threads of the solver.
 
-- The caller's owns the scene and the solver: it adds, steps and reads. Any thread may be the
-  caller, one at a time; the add-on's live session has a worker for it.
-- ``clay``, the helper, does the second half of the particles in passes that can be shared, while
-  the caller does the first half in a step and waits for it. It owns nothing. There is one for the
-  process, started by the first step that shares; between steps it waits for work, and it ends with
-  the interpreter. Within recorded passes the two wait for each other in native code
+- The calling thread owns the scene and the solver: it adds, steps and reads. Any thread may call,
+  one at a time; the add-on's live session has a worker for it.
+- ``clay``, the helper thread, processes the second half of the particles in passes that can be
+  shared, while the caller processes the first half and waits for it. It owns nothing. There is one
+  per process, started by the first step that shares work; between steps it is idle, and it ends
+  with the interpreter. Within recorded passes the two wait for each other in native code
   (`particles_cpu.wait_for_others`).
 
-Other threads that use Warp beside a step hold `recording_lock`.
+Other threads that use Warp during a step hold `recording_lock`.
 """
 
 import os

@@ -1,28 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""C++ shared by the passes for the CPU's vector units, which take eight numbers at a time.
+"""C++ shared by the passes for the CPU's vector units, which process eight numbers at a time.
 
 Clang's vector types compile to whatever the processor has (AVX, NEON). A pass works on a block of
-particles at a time: calling a kernel for each costs as much as the work itself.
+particles at a time, because calling a kernel for each particle costs as much as the work itself.
 """
 
 OPTIONS = {"cpu_compiler_flags": "-O3 -march=native"}
-"""Module options: the compiler may use everything that this processor offers."""
+"""Module options that let the compiler use all instructions of this processor."""
 BLOCK = 64
 """Particles in a block."""
 
 NUMBERS = """
     #if defined(__CUDACC__)
     #define ALWAYS_INLINE
-    auto most = [](float a, float b) { return fmaxf(a, b); };
-    auto least = [](float a, float b) { return fminf(a, b); };
+    auto maximum = [](float a, float b) { return fmaxf(a, b); };
+    auto minimum = [](float a, float b) { return fminf(a, b); };
     auto root = [](float a) { return sqrtf(a); };
     auto power = [](float a, float b) { return powf(a, b); };
     #else
     #define ALWAYS_INLINE __attribute__((always_inline))
-    auto most = [](auto a, auto b) ALWAYS_INLINE {
+    auto maximum = [](auto a, auto b) ALWAYS_INLINE {
         return __builtin_elementwise_max(a, (decltype(a))b);
     };
-    auto least = [](auto a, auto b) ALWAYS_INLINE {
+    auto minimum = [](auto a, auto b) ALWAYS_INLINE {
         return __builtin_elementwise_min(a, (decltype(a))b);
     };
     auto root = [](auto a) ALWAYS_INLINE { return __builtin_elementwise_sqrt(a); };
@@ -53,7 +53,7 @@ VECTORS = (
         const f4 b = a.lo + a.hi;
         return (b.x + b.z) + (b.y + b.w);
     };
-    // A vector of three numbers, read as four: the array must have room for one past its end.
+    // A vector of three numbers, read as four: the array must have room for one more at its end.
     auto load3 = [](const float* p) __attribute__((always_inline)) {
         f4 v = *(const f4u*)p;
         v.w = 0.f;
@@ -66,7 +66,7 @@ VECTORS = (
     auto cross = [](f4 a, f4 b) __attribute__((always_inline)) {
         return a.yzxw * b.zxyw - a.zxyw * b.yzxw;
     };
-    // Four consecutive numbers of each of eight rows, by place: whole loads, transposed.
+    // Four consecutive numbers of each of eight rows: loaded whole, then transposed.
     auto pick_rows = [](const float* p, const int* j, int pitch, f8& x, f8& y, f8& z, f8& w)
         __attribute__((always_inline)) {
         auto row = [&](int l) __attribute__((always_inline)) {
@@ -86,7 +86,7 @@ VECTORS = (
         w = __builtin_shufflevector(ab2, cd2, 2, 3, 10, 11, 6, 7, 14, 15);
     };
     // Eight vectors of three or four numbers, by axis; for three, the array must have room for one
-    // number past its end.
+    // more number at its end.
     auto pick3 = [&](const float* p, const int* j, f8& x, f8& y, f8& z)
         __attribute__((always_inline)) {
         f8 next;
@@ -101,7 +101,7 @@ VECTORS = (
 
 
 def over_block(setup: str, body: str, result: str = "") -> str:
-    """Text of a native function that works on a block of particles.
+    """Source of a native function that works on a block of particles.
 
     Args:
         setup: Statements before the loop over particles.
@@ -109,7 +109,7 @@ def over_block(setup: str, body: str, result: str = "") -> str:
         result: Statements after the loop.
 
     Returns:
-        The text; the function must have the arguments ``block`` and ``awake``.
+        The source; the function must have the arguments ``block`` and ``awake``.
     """
     return f"""{VECTORS}
     const int awake_count = awake.count.data[0], begin = block * {BLOCK};
@@ -124,5 +124,5 @@ def over_block(setup: str, body: str, result: str = "") -> str:
 
 
 def for_one(setup: str, body: str, result: str = "") -> str:
-    """Text of a native function that does the same for a single particle ``i``."""
+    """Source of a native function that does the same for a single particle ``i``."""
     return f"{VECTORS}{setup}{body}{result}}}"

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Closed meshes, what fills them, lattices, surface nets and rotations."""
+"""Closed meshes and their filling, lattices, surface nets and rotations."""

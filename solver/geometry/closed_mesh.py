@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a triangle mesh encloses a volume, and what is wrong with it where it doesn't."""
+"""Checks whether a triangle mesh encloses a volume, and cleans it up."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .shells import (
 from .weld import near_labels
 
 _WELD_DISTANCES = (1e-6, 1e-5, 1e-4)
-"""Open seams are welded within these, over the size of the mesh, the first that closes it."""
-_WELD_OF_EDGE = 0.1
-"""And never farther than this part of a usual edge."""
+"""Welding distances for open seams, relative to the mesh's size; tried until it is closed."""
+_MAX_WELD = 0.1
+"""Largest welding distance, relative to the median edge length."""
 _FLAT = 1e-9
-"""A shell of less volume than this is flat, over the cube of its size."""
+"""Largest volume of a shell that counts as flat, relative to the cube of its size."""
 
 
 class MeshError(TactileClayError, ValueError):
@@ -57,20 +57,20 @@ def mesh_area(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> flo
 
 @dataclass(frozen=True, eq=False)
 class ClosedMesh:
-    """A mesh that encloses a volume, and what had to be done to have it so."""
+    """A mesh that encloses a volume, and what was changed to make it so."""
 
     vertices: NDArray[np.float64]
-    """Corner positions [m], shape [V, 3]; each is used, and no two are at one place."""
+    """Corner positions [m], shape [V, 3]; all are used, and no two coincide."""
     faces: NDArray[np.int32]
     """Corner indices, shape [F, 3]: bodies are wound outward, cavities inward."""
     shell: NDArray[np.int64]
     """Shell of each face, shape [F]."""
     sources: NDArray[np.int64]
-    """Which of the faces that were given each face is, shape [F]."""
+    """Index of each face in the original mesh, shape [F]."""
     turned: NDArray[np.bool_]
-    """Whether a face is wound the other way round than it was given, shape [F]."""
+    """Whether each face was flipped, shape [F]."""
     notes: tuple[str, ...]
-    """What was done, each as a sentence for people."""
+    """What was changed, as sentences for the user."""
 
     @property
     def shell_count(self) -> int:
@@ -81,49 +81,50 @@ class ClosedMesh:
 def check_closed_mesh(
     vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh"
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the mesh that `closed_mesh` makes of it, as vertices and faces.
+    """Clean up a mesh with `closed_mesh`, and return its vertices and faces.
 
     Raises:
-        MeshError: As for `closed_mesh`.
+        MeshError: See `closed_mesh`.
     """
     mesh = closed_mesh(vertices, faces, name=name)
     return mesh.vertices, mesh.faces
 
 
 def closed_mesh(vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh") -> ClosedMesh:
-    """Make a clean closed mesh out of one as files have it, or say why it encloses no volume.
+    """Clean up a mesh such as files contain, or explain why it encloses no volume.
 
-    Vertices at the very same position count as one, as a file with split normals or texture seams
-    has them; so do those along open seams that are all but at one place. Vertices that no face
-    uses, faces without area, doubled faces and flat shells are left out. Each shell is judged by
-    itself: one outside all others is a body whichever way it is wound, one inside another is a
-    cavity where it is wound the other way round.
+    Vertices at exactly the same position are merged, since split normals and texture seams
+    duplicate them; so are nearly coincident vertices along open seams. Unused vertices, faces
+    without area, duplicate faces and flat shells are removed. Each shell is judged by itself: one
+    outside all others is a body whichever way it is wound; one inside another is a cavity if it is
+    wound the opposite way.
 
     Args:
         vertices: Corner positions [m], shape [V, 3].
         faces: Corner indices, shape [F, 3].
-        name: What to call the mesh in an error.
+        name: Name of the mesh in error messages.
 
     Raises:
-        MeshError: Non-finite coordinates, no faces, indices out of range, holes (their number is
-            named), edges with more than two faces, inconsistent winding, or no volume.
+        MeshError: The mesh has coordinates that are not finite, no faces, indices out of range,
+            holes (the message tells how many), edges where an odd number of faces meet,
+            inconsistent winding, or no volume.
     """
     points, corners = _checked_arrays(vertices, faces, name)
     notes: list[str] = []
     used = np.unique(corners)
     if len(used) < len(points):
-        notes.append(f"{_count(len(points) - len(used), 'vertex')} without faces left out.")
+        notes.append(f"{_count(len(points) - len(used), 'vertex')} without faces removed.")
     weld = np.zeros(len(points), np.int64)
-    points, weld[used] = _at_one_place(points[used])
+    points, weld[used] = _distinct_points(points[used])
     corners = weld[corners]
     sources = np.arange(len(corners))
     corners, sources = _proper(corners, sources, name)
     if len(open_edges(corners)):
         points, corners, sources = _welded(points, corners, sources, notes)
-    corners, sources, doubled = _single_faces(corners, sources, name)
-    if doubled:
-        notes.append(f"{_count(doubled, 'doubled face')} left out.")
-    # Faces that shared an edge as they were given belong together whatever else lies there.
+    corners, sources, duplicates = _single_faces(corners, sources, name)
+    if duplicates:
+        notes.append(f"{_count(duplicates, 'duplicate face')} removed.")
+    # Faces that shared an edge in the original mesh belong together whatever else lies there.
     given = np.asarray(faces, np.int64)[sources]
     label = shell_labels(corners, edge_pairs(given))
     _check_shells(corners, label, name)
@@ -132,7 +133,7 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh"
     if flat.all():
         raise MeshError(f"{name} encloses no volume: it is flat, or its parts cancel out.")
     if flat.any():
-        notes.append(f"{_count(int(flat.sum()), 'flat part')} left out.")
+        notes.append(f"{_count(int(flat.sum()), 'flat part')} removed.")
         kept = ~flat[label]
         corners, sources = corners[kept], sources[kept]
         label = np.unique(label[kept], return_inverse=True)[1].reshape(-1)
@@ -140,7 +141,7 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh"
     turn = shell_signs(points, corners, label, volumes) != np.sign(volumes)
     turned = turn[label]
     if turn.any() and not turn.all():
-        notes.append(f"{int(turn.sum())} of {len(turn)} bodies were inside out and were turned.")
+        notes.append(f"{int(turn.sum())} of {len(turn)} bodies were inside out; they were flipped.")
     corners = np.where(turned[:, None], corners[:, ::-1], corners)
     used, corners = np.unique(corners, return_inverse=True)
     return ClosedMesh(
@@ -154,13 +155,13 @@ def closed_mesh(vertices: ArrayLike, faces: ArrayLike, *, name: str = "The mesh"
 
 
 def open_edges(faces: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Edges that only one face has, shape [E, 2]."""
+    """Edges of only one face, shape [E, 2]."""
     edges, uses = np.unique(np.sort(face_edges(faces), axis=1), axis=0, return_counts=True)
     return edges[uses == 1]
 
 
 def group_count(edges: NDArray[np.int64]) -> int:
-    """Number of connected groups that a set of edges forms (a hole is one such group)."""
+    """Number of connected groups of edges; each hole is one group of open edges."""
     ends = np.unique(edges, return_inverse=True)[1].reshape(-1, 2)
     return int(connected_labels(ends, int(ends.max()) + 1).max()) + 1
 
@@ -183,13 +184,13 @@ def _checked_arrays(
             f"{name} has {bad} vertices that are not finite (NaN or infinite); delete or fix them."
         )
     if corners.min() < 0 or corners.max() >= len(points):
-        raise MeshError(f"{name} has a face that names a vertex that is not there.")
+        raise MeshError(f"{name} has a face that refers to a vertex that does not exist.")
     return points, corners
 
 
-def _at_one_place(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Distinct points, and which of them each point is."""
-    # Adding 0 makes a negative zero a positive one.
+def _distinct_points(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distinct points, and the index of each point among them."""
+    # Adding 0 turns negative zeros into positive ones.
     order = np.lexsort((points + 0.0).T)
     ordered = points[order]
     new = np.r_[True, (ordered[1:] != ordered[:-1]).any(1)]
@@ -201,7 +202,7 @@ def _at_one_place(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
 def _proper(
     corners: NDArray[np.int64], sources: NDArray[np.int64], name: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Faces with three different corners."""
+    """Keep the faces with three different corners."""
     proper = (corners != np.roll(corners, 1, axis=1)).all(1)
     if not proper.any():
         raise MeshError(f"{name} has only faces without area.")
@@ -214,14 +215,15 @@ def _welded(
     sources: NDArray[np.int64],
     notes: list[str],
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """The mesh with its open seams welded as far as that closes it."""
+    """Weld open seams with the distance that leaves the fewest open edges."""
     size = float(np.ptp(points[np.unique(corners)], axis=0).max())
     edges = face_edges(corners)
-    usual = float(np.median(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)))
+    lengths = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    median_edge = float(np.median(lengths))
     seam = np.unique(open_edges(corners))
     best = (len(open_edges(corners)), corners, sources, 0)
     for share in _WELD_DISTANCES:
-        distance = min(share * size, _WELD_OF_EDGE * usual)
+        distance = min(share * size, _MAX_WELD * median_edge)
         place = np.arange(len(points))
         label = near_labels(points[seam], distance)
         first = np.full(int(label.max()) + 1, len(points))
@@ -243,20 +245,20 @@ def _welded(
 def _single_faces(
     corners: NDArray[np.int64], sources: NDArray[np.int64], name: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Each face once, and how many were left out.
+    """Remove duplicate faces; also returns how many were removed.
 
-    Where faces lie on each other back to back, neither bounds the whole: bodies that share a wall
-    are one. But a body that is there a second time, inside out, is there.
+    Coincident faces wound opposite ways are both removed, since bodies that share a wall are one.
+    But of a whole body that is duplicated inside out, one copy is kept.
     """
     order = np.sort(corners, axis=1)
     lowest = np.argmin(corners, axis=1)
     second = np.take_along_axis(corners, ((lowest + 1) % 3)[:, None], 1)[:, 0]
     direction = np.where(second == order[:, 1], 1, -1)
-    _, first, which = np.unique(order, axis=0, return_index=True, return_inverse=True)
-    which = which.reshape(-1)
+    _, first, group = np.unique(order, axis=0, return_index=True, return_inverse=True)
+    group = group.reshape(-1)
     if len(first) == len(corners):
         return corners, sources, 0
-    balance = np.bincount(which, weights=direction, minlength=len(first)).astype(np.int64)
+    balance = np.bincount(group, weights=direction, minlength=len(first)).astype(np.int64)
     label = connected_labels(edge_pairs(order[first]), len(first))
     cancelled = np.bincount(label, weights=balance != 0) == 0
     cancelled[label[_on_open_edge(order[first])]] = False
@@ -264,8 +266,8 @@ def _single_faces(
         balance != 0, np.sign(balance), np.where(cancelled[label], direction[first], 0)
     )
     keep = np.zeros(len(corners), bool)
-    matching = np.flatnonzero(direction == wanted[which])
-    _, earliest = np.unique(which[matching], return_index=True)
+    matching = np.flatnonzero(direction == wanted[group])
+    _, earliest = np.unique(group[matching], return_index=True)
     keep[matching[earliest]] = True
     if not keep.any():
         raise MeshError(f"{name} encloses no volume: it is flat, or its parts cancel out.")
@@ -273,20 +275,20 @@ def _single_faces(
 
 
 def _on_open_edge(corners: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Faces with an edge that no other face has, of faces with sorted corners."""
-    _, which, uses = np.unique(
+    """Indices of faces with an open edge, given faces with sorted corners."""
+    _, edge, uses = np.unique(
         np.sort(face_edges(corners), axis=1), axis=0, return_inverse=True, return_counts=True
     )
-    return np.flatnonzero((uses[which.reshape(-1)] == 1).reshape(-1, 3).any(1))
+    return np.flatnonzero((uses[edge.reshape(-1)] == 1).reshape(-1, 3).any(1))
 
 
 def _check_shells(corners: NDArray[np.int64], label: NDArray[np.int64], name: str) -> None:
     """Refuse holes, edges where an odd number of faces meet, and inconsistent winding."""
     directed = face_edges(corners)
-    # An edge at which shells touch is an edge of each.
+    # An edge at which shells touch counts as an edge of each.
     key = np.column_stack([np.sort(directed, axis=1), np.repeat(label, 3)])
-    edges, which, uses = np.unique(key, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
+    edges, edge, uses = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    edge = edge.reshape(-1)
     lone = edges[uses == 1, :2]
     if len(lone):
         holes = group_count(lone)
@@ -301,18 +303,18 @@ def _check_shells(corners: NDArray[np.int64], label: NDArray[np.int64], name: st
             "inside is not defined. Remove the extra faces or use a Remesh modifier."
         )
     direction = np.where(directed[:, 0] < directed[:, 1], 1, -1)
-    balance = np.bincount(which, weights=direction, minlength=len(edges))
+    balance = np.bincount(edge, weights=direction, minlength=len(edges))
     if np.any(balance != 0):
         raise MeshError(
-            f"{name} has faces that point different ways ({int((balance != 0).sum())} edges); "
-            "recalculate its normals to the outside."
+            f"{name} has inconsistent normals ({int((balance != 0).sum())} edges); recalculate "
+            "them to the outside."
         )
 
 
 def _sizes(
     points: NDArray[np.float64], corners: NDArray[np.int64], label: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Longest side of each shell's box [m]."""
+    """Longest side of each shell's bounding box [m]."""
     count = int(label.max()) + 1
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     for k in range(3):
@@ -321,6 +323,6 @@ def _sizes(
     return np.asarray((high - low).max(1))
 
 
-def _count(number: int, what: str) -> str:
-    plural = {"vertex": "vertices"}.get(what, f"{what}s")
-    return f"{number:,} {what if number == 1 else plural}"
+def _count(number: int, noun: str) -> str:
+    plural = {"vertex": "vertices"}.get(noun, f"{noun}s")
+    return f"{number:,} {noun if number == 1 else plural}"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where vertical lines cross a closed mesh: what is inside, without a query for every point.
+"""Crossings of vertical lines with a closed mesh: what is inside, without a query for every point.
 
-A line enters a body through a face that looks down and leaves it through one that looks up. Counted
-with their signs, crossings say how many bodies are around each piece of the line, so that bodies
-that overlap and cavities come out right. Edges are tested in one direction whichever face asks, so
-that no line slips through between two faces.
+A line enters a body through a face that points down and leaves it through one that points up. The
+running sum of signed crossings is the number of bodies around each piece of the line, which handles
+overlapping bodies and cavities. An edge is tested in the same direction for both of its faces, so
+that no line slips through between them.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 _CHUNK = 4_000_000
-"""Pairs of line and face that are tested at a time."""
+"""Number of pairs of line and face tested at a time."""
 _NUDGE = 1e-6
-"""How far lines are moved aside, over their distance."""
+"""How far lines are shifted sideways, relative to their spacing."""
 _ATTEMPTS = 3
-"""How often lines are moved aside until each leaves whatever it enters."""
+"""How many shifts are tried until every line leaves each body that it enters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +27,14 @@ class Crossings:
     """Crossings of vertical lines on a grid with a mesh, ordered by line, then from below."""
 
     line: NDArray[np.int64]
-    """Number of the line, its x index times the count of y plus its y index, shape [C]."""
+    """Index of the line: its x index times the number of ys, plus its y index; shape [C]."""
     height: NDArray[np.float64]
-    """Where it crosses, shape [C]."""
+    """Height of the crossing, shape [C]."""
     winding: NDArray[np.int64]
-    """How many bodies the line is in above the crossing, shape [C]."""
+    """Number of bodies around the line just above the crossing, shape [C]."""
 
     def intervals(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Pieces of lines that are inside: line, lower end and upper end, each of shape [I]."""
+        """Pieces of lines inside a body: line, lower end and upper end, each of shape [I]."""
         inside = self.winding > 0
         before = np.r_[False, inside[:-1]]
         before[np.r_[True, self.line[1:] != self.line[:-1]]] = False
@@ -53,12 +53,12 @@ def cross_columns(
     Args:
         vertices: Corner positions, shape [V, 3].
         faces: Corner indices, shape [F, 3]; bodies wound outward, cavities inward.
-        xs: Places of the lines along x, evenly spaced and ascending, shape [X].
+        xs: Positions of the lines along x, evenly spaced and ascending, shape [X].
         ys: Likewise along y, shape [Y].
     """
     nudge = _NUDGE * float(np.diff(xs[:2]).sum() or 1.0)
     for attempt in range(1, _ATTEMPTS + 1):
-        # Lines through corners and along sides, as round sizes have them, would be in doubt.
+        # Lines through vertices or along faces, common with round sizes, would be ambiguous.
         found = _crossings(
             vertices, faces, xs + 0.7548777 * attempt * nudge, ys + 0.5698403 * attempt * nudge
         )
@@ -70,7 +70,7 @@ def cross_columns(
         wrong = np.unique(line)[sums != 0]
         kept = ~np.isin(line, wrong)
         line, height, sign = line[kept], height[kept], sign[kept]
-    # All signs of a line add up to nothing, so that the sum starts anew with each line.
+    # The signs of a line add up to zero, so the running sum restarts with each line.
     return Crossings(line, height, np.cumsum(sign))
 
 
@@ -104,7 +104,7 @@ def _crossings(
         heights.append(height)
         signs.append(sign)
     line, height, sign = (np.concatenate(parts) for parts in (lines, heights, signs))
-    # At one height a line first enters: bodies that touch are one.
+    # At equal heights, entering comes first: bodies that touch are one.
     order = np.lexsort((-sign, height, line))
     return line[order], height[order], sign[order]
 
@@ -116,7 +116,7 @@ def _cross(
     x: NDArray[np.float64],
     y: NDArray[np.float64],
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.int64]]:
-    """Which lines cross their face; there the height, and 1 where the line enters, else -1."""
+    """Whether each line crosses its face; for those, the height, and 1 (enters) or -1 (leaves)."""
     corner = faces[face]
     sides = []
     for k in range(3):
@@ -125,7 +125,7 @@ def _cross(
         first, second = np.where(swap, two, one), np.where(swap, one, two)
         ax, ay = vertices[first, 0], vertices[first, 1]
         side = (vertices[second, 0] - ax) * (y - ay) - (vertices[second, 1] - ay) * (x - ax)
-        # A line on an edge is taken to lie to its left, seen along the edge as it is tested.
+        # A line exactly on an edge counts as left of it, in the direction of the test.
         sides.append((side >= 0.0) ^ swap)
     left = sides[0] & sides[1] & sides[2]
     right = ~(sides[0] | sides[1] | sides[2])
@@ -144,16 +144,16 @@ def _cross(
 def union_volume(
     vertices: NDArray[np.float64], faces: NDArray[np.integer], volume: float, step: float
 ) -> float:
-    """Volume that bodies fill together: where they overlap it counts once.
+    """Volume of the union of bodies, which may overlap.
 
-    Exact where nothing overlaps. Else lines measure which part of the sum of volumes is left; what
-    a grid of lines gets wrong at flat sides is in both and cancels.
+    Exact if nothing overlaps. Otherwise lines measure the ratio of the union to the sum of volumes;
+    the sampling error at flat sides affects both alike and cancels.
 
     Args:
         vertices: Corner positions, shape [V, 3].
         faces: Corner indices, shape [F, 3]; bodies wound outward, cavities inward.
         volume: Sum of the signed volumes.
-        step: Distance of the lines.
+        step: Spacing of the lines.
     """
     low, high = vertices.min(0), vertices.max(0)
     xs, ys = (np.arange(low[k] + 0.5 * step, high[k] + step, step) for k in range(2))
@@ -161,6 +161,6 @@ def union_volume(
     if not (crossings.winding > 1).any():
         return volume
     _, bottom, top = crossings.intervals()
-    # Between two crossings of a line, as long as it is inside of anything.
+    # The winding is zero between lines and outside, so only pieces inside count.
     total = float((np.diff(crossings.height) * crossings.winding[:-1]).sum())
     return volume * float((top - bottom).sum()) / total

@@ -16,16 +16,16 @@ from .shells import shell_volumes
 from .thickness import MIN_THICKNESS, layer_in_thin_walls, wall_thickness
 
 MAX_PARTICLES = 20_000_000
-"""More than this is taken for a mistake in units."""
+"""More than this is treated as a mistake in units."""
 
 _SAMPLING = 0.3
 """Distance at which the volume of overlapping bodies is sampled, in spacings."""
 _TOUCHING = 1e-4
 """Points closer to the surface than this are on it, in spacings."""
 _THIN_SHARE = 0.02
-"""Part of the surface that may have thin walls without a word."""
+"""Fraction of the surface that may have thin walls without a note."""
 _ALL_THIN = 0.5
-"""Part of the surface with thin walls from which on the mesh is a sheet."""
+"""Fraction of the surface with thin walls above which the mesh counts as a sheet."""
 _NEIGHBORS = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 
 
@@ -35,50 +35,50 @@ class ThinWallsError(MeshError):
 
 @wp.kernel(enable_backward=False)
 def measure_distance(
-    mesh: wp.uint64, point: wp.array[wp.vec3], farthest: float, distance: wp.array[float]
+    mesh: wp.uint64, point: wp.array[wp.vec3], max_distance: float, distance: wp.array[float]
 ) -> None:
-    """Distance to the mesh, or the farthest that is looked for."""
+    """Measure the distance to the mesh, at most ``max_distance``."""
     i = wp.tid()
-    query = wp.mesh_query_point_no_sign(mesh, point[i], farthest)
+    query = wp.mesh_query_point_no_sign(mesh, point[i], max_distance)
     if query.result:
         nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
         distance[i] = wp.length(point[i] - nearest)
     else:
-        distance[i] = farthest
+        distance[i] = max_distance
 
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """Particles in a mesh, and what a person should know of how they came there."""
+    """Particles that fill a mesh, with notes for the user."""
 
     points: NDArray[np.float32]
-    """[m], shape [N, 3]."""
+    """Particle positions [m], shape [N, 3]."""
     mesh: ClosedMesh
-    """What was filled."""
+    """The mesh that was filled."""
     notes: tuple[str, ...]
-    """What was done to the mesh, and what it costs, each as a sentence."""
+    """What was changed in the mesh, and what is imperfect, as sentences."""
 
 
 def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[np.float32]:
     """Place particles on a cubic lattice inside a closed mesh.
 
-    Their number is round(volume / spacing³), so that particles times spacing³ is the mesh's
-    volume to half a particle: where the lattice cuts the surface, the deepest points win. Of the
-    lattice's eight half-cell offsets the one is taken whose own count comes nearest.
+    Their number is round(volume / spacing³), the mesh's volume to within half a particle: where
+    the lattice cuts the surface, the deepest points are kept. Of the lattice's eight half-cell
+    offsets, the one whose point count is closest to that number is used.
 
     Args:
         vertices: Corner positions [m], shape [V, 3].
-        faces: Triangles, shape [F, 3]; see `closed_mesh` for what is made of them. Concave shapes,
-            cavities and several bodies are fine; where bodies overlap, the clay is there once.
+        faces: Triangles, shape [F, 3], cleaned up by `closed_mesh`. Concave shapes, cavities and
+            several bodies are fine; bodies that overlap are united.
         spacing: Lattice spacing [m].
 
     Returns:
         Particle positions [m], shape [N, 3], ordered along x, then y, then z.
 
     Raises:
-        MeshError: The mesh is open (the message names the number of holes), encloses no volume,
-            has coordinates that are not finite, is too small, too thin or far too large for the
-            spacing.
+        MeshError: The mesh is not usable (see `closed_mesh`), or is too small, too thin or far too
+            large for the spacing.
+        ValueError: The spacing is not a positive number.
     """
     return fill(closed_mesh(vertices, faces), spacing).points
 
@@ -86,18 +86,19 @@ def fill_mesh(vertices: ArrayLike, faces: ArrayLike, spacing: float) -> NDArray[
 def fill(
     mesh: ClosedMesh, spacing: float, *, name: str = "The mesh", follow_thin_walls: bool = False
 ) -> Filling:
-    """Place particles as `fill_mesh` does, and tell about it.
+    """Place particles as `fill_mesh` does, and return notes for the user.
 
     Args:
-        mesh: What to fill.
+        mesh: The mesh to fill.
         spacing: Lattice spacing [m].
-        name: What to call the mesh in an error.
+        name: Name of the mesh in error messages.
         follow_thin_walls: Whether walls too thin for the lattice get one layer of particles in
             their middle, which makes them thicker, instead of an error or a note.
 
     Raises:
         ThinWallsError: The mesh is a sheet that is too thin for the spacing.
         MeshError: The mesh is too small or far too large for the spacing.
+        ValueError: The spacing is not a positive number.
     """
     if not (np.isfinite(spacing) and spacing > 0):
         raise ValueError(f"The particle spacing is {spacing!r} m; it must be above 0.")
@@ -105,7 +106,7 @@ def fill(
     volume = float(shell_volumes(mesh.vertices, mesh.faces, mesh.shell).sum()) / spacing**3
     if volume > 2.0 * MAX_PARTICLES:
         raise MeshError(
-            f"{name} is {max(high - low):.3g} m long and would take far too many particles at a "
+            f"{name} is {max(high - low):.3g} m long and would need far too many particles at a "
             f"spacing of {spacing:.3g} m; check its units or use a larger spacing."
         )
     center = 0.5 * (low + high)
@@ -124,18 +125,18 @@ def fill(
         )
     thickness = wall_thickness(surface, local, mesh.faces)
     thin = thickness.share_below(MIN_THICKNESS)
-    # Where bodies overlap, rays meet walls that are inside of others.
+    # Where bodies overlap, rays hit walls inside other bodies.
     is_thin = thin > _THIN_SHARE and united == volume
     notes = list(mesh.notes)
     if is_thin:
-        wall = 1e3 * spacing * thickness.below(MIN_THICKNESS)
+        wall = 1e3 * spacing * thickness.median_below(MIN_THICKNESS)
         text = (
             f"walls about {wall:.2g} mm thick, too thin for a particle spacing of "
             f"{1e3 * spacing:.3g} mm"
         )
         if follow_thin_walls:
             notes.append(
-                f"One layer of particles follows {text}; they become {1e3 * spacing:.3g} mm."
+                f"One layer of particles follows {text}; they become {1e3 * spacing:.3g} mm thick."
             )
         elif thin > _ALL_THIN:
             raise ThinWallsError(
@@ -162,13 +163,13 @@ def fill(
 
 
 class _LatticeFilling:
-    """The points of one lattice that lie in a mesh, in units of the spacing.
+    """The points of a lattice that lie inside a mesh, in units of the spacing.
 
     Args:
-        surface: The mesh for distances.
-        vertices: Its corners around the origin, shape [V, 3].
+        surface: The mesh, for distance queries.
+        vertices: Its corners, centered on the origin, shape [V, 3].
         faces: Corner indices, shape [F, 3].
-        shift: Along which axes the lattice is moved by half a cell.
+        shift: For each axis, 1 to shift the lattice by half a cell, else 0.
     """
 
     def __init__(
@@ -188,7 +189,7 @@ class _LatticeFilling:
         count = np.maximum(np.floor(top - self._origin[2]).astype(np.int64) - first + 1, 0)
         step = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         inside = np.repeat(line * self._shape[2] + first, count) + step
-        # Those with a neighbor outside are close to the surface; others need no distance.
+        # Points with a neighbor outside are close to the surface; the others need no distance.
         rim = np.zeros(len(inside), bool)
         for offset in _NEIGHBORS:
             rim |= ~_contains(inside, inside + self._step(offset))
@@ -201,18 +202,18 @@ class _LatticeFilling:
 
     @property
     def count(self) -> int:
-        """How many points lie inside."""
+        """Number of points inside."""
         return len(self._inside)
 
     def _step(self, offset: NDArray[np.int64]) -> int:
-        """By how much a cell's number grows along an offset."""
+        """Change of a cell's flat index along an offset."""
         return int((offset[0] * self._shape[1] + offset[1]) * self._shape[2] + offset[2])
 
     def _place(self, cell: NDArray[np.int64]) -> NDArray[np.float64]:
         return np.stack(np.unravel_index(cell, self._shape), 1) + self._origin
 
     def _distance(self, cell: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Of cells from the surface; equal ones are equal whatever the last bits say."""
+        """Distance of cells from the surface, rounded so that equal ones compare equal."""
         with recording_lock:
             point = wp.array(self._place(cell).astype(np.float32), dtype=wp.vec3, device="cpu")
             distance = wp.empty(len(cell), dtype=float, device="cpu")
@@ -225,7 +226,7 @@ class _LatticeFilling:
         return np.round(distance.numpy().astype(np.float64), 4)
 
     def points(self, target: int) -> NDArray[np.float64]:
-        """So many points, at the surface the deepest or else the nearest, shape [N, 3]."""
+        """A given number of points: the deepest inside, then the nearest outside; [N, 3]."""
         cells = self._inside
         surplus = self.count - target
         if surplus > 0:
@@ -242,7 +243,7 @@ class _LatticeFilling:
 
 
 def _contains(ordered: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which of the wanted numbers are among those in order."""
+    """Whether each wanted number is in a sorted array, shape [W]."""
     if not len(ordered):
         return np.zeros(len(wanted), bool)
     place = np.minimum(np.searchsorted(ordered, wanted), len(ordered) - 1)
@@ -250,6 +251,6 @@ def _contains(ordered: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[
 
 
 def _rounded(millimeters: float) -> float:
-    """Rounded down to two digits."""
+    """Round down to two significant digits."""
     step = 10.0 ** (np.floor(np.log10(millimeters)) - 1)
     return float(np.floor(millimeters / step + 1e-6) * step)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which points lie inside a closed mesh."""
+"""Test of whether points lie inside a closed mesh."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from .closed_mesh import ClosedMesh
 
 @wp.kernel(enable_backward=False)
 def measure_sign(
-    mesh: wp.uint64, point: wp.array[wp.vec3], farthest: float, inside: wp.array[int]
+    mesh: wp.uint64, point: wp.array[wp.vec3], max_distance: float, inside: wp.array[int]
 ) -> None:
-    """1 inside the mesh, by its winding number, else 0."""
+    """Mark points inside the mesh, by its winding number."""
     i = wp.tid()
-    query = wp.mesh_query_point_sign_winding_number(mesh, point[i], farthest)
+    query = wp.mesh_query_point_sign_winding_number(mesh, point[i], max_distance)
     if query.result and query.sign < 0.0:
         inside[i] = 1
 
 
 def is_inside(points: NDArray[np.floating], mesh: ClosedMesh) -> NDArray[np.bool_]:
-    """Which points lie inside a closed mesh, shape [N].
+    """Whether each point lies inside a closed mesh, shape [N].
 
     Args:
-        points: [m], shape [N, 3].
-        mesh: Bodies may overlap, and have cavities.
+        points: Points [m], shape [N, 3].
+        mesh: The mesh; its bodies may overlap and have cavities.
     """
     if not len(points):
         return np.zeros(0, bool)

@@ -33,7 +33,7 @@ def lattice_tetrahedra(
 
     Args:
         low: Lowest corner of cell (0, 0, 0) [m], shape [3].
-        cells: Which cubic cells to cover, shape [X, Y, Z].
+        cells: Whether each cubic cell is to be covered, shape [X, Y, Z].
         cell: Edge of a cell [m].
 
     Returns:
@@ -116,7 +116,7 @@ def find_carriers(
     carrier: wp.array[int],
     inside: wp.array[float],
 ) -> None:
-    """Find the tetrahedron of two groups that each point lies deepest in, preferring the first."""
+    """Find a tetrahedron of two groups around or near each point, preferring the first group."""
     i = wp.tid()
     x = point[i]
     reach = wp.vec3(margin, margin, margin)
@@ -131,13 +131,13 @@ def find_carriers(
                 wp.matrix_from_cols(corner[t, 1] - a, corner[t, 2] - a, corner[t, 3] - a)
             )
             w = turn * (x - a)
-            least = wp.min(wp.min(w[0], w[1]), wp.min(w[2], 1.0 - w[0] - w[1] - w[2]))
-            # Being well inside is no better than being just inside, so that the group decides.
-            least = wp.min(least, 0.0)
+            smallest = wp.min(wp.min(w[0], w[1]), wp.min(w[2], 1.0 - w[0] - w[1] - w[2]))
+            # Depth inside a tetrahedron does not matter, so that the group decides.
+            smallest = wp.min(smallest, 0.0)
             if group[t] == second_group[i]:
-                least -= 0.02
-            if least > best or (least == best and t < found):
-                best = least
+                smallest -= 0.02
+            if smallest > best or (smallest == best and t < found):
+                best = smallest
                 found = t
     carrier[i] = found
     inside[i] = best

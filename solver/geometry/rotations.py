@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rotations in numpy, many at a time: quaternions, matrices, rotation vectors and frames.
+"""Rotations in NumPy, many at a time: quaternions, matrices, rotation vectors and frames.
 
 Quaternions are unit quaternions in the order (x, y, z, w); q and -q are the same rotation. Matrices
 act on column vectors: ``matrix @ vector``. A rotation vector points along the axis and is as long
@@ -94,37 +94,37 @@ def angles_between(first: ArrayLike, second: ArrayLike) -> Array:
     return 2.0 * np.arccos(np.clip(cosine, 0.0, 1.0))
 
 
-def slerp(first: ArrayLike, second: ArrayLike, share: ArrayLike) -> Array:
-    """Spherical linear interpolation, the short way round (Shoemake, 10.1145/325334.325242).
+def slerp(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> Array:
+    """Spherical linear interpolation along the shorter arc (Shoemake, 10.1145/325334.325242).
 
     Args:
-        first: Unit quaternions at share 0, shape [..., 4].
-        second: Unit quaternions at share 1, shape [..., 4].
-        share: How far to go, shape [...].
+        first: Unit quaternions at fraction 0, shape [..., 4].
+        second: Unit quaternions at fraction 1, shape [..., 4].
+        fraction: 0 to 1, shape [...].
     """
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    share = np.asarray(share, np.float64)[..., None]
+    fraction = np.asarray(fraction, np.float64)[..., None]
     cosine = np.sum(first * second, axis=-1, keepdims=True)
     second = np.where(cosine < 0.0, -second, second)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     sine = np.sin(angle)
     small = sine < 1e-6
     safe = np.where(small, 1.0, sine)
-    one = np.where(small, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    other = np.where(small, share, np.sin(share * angle) / safe)
+    one = np.where(small, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
+    other = np.where(small, fraction, np.sin(fraction * angle) / safe)
     result = one * first + other * second
     return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
 
 def cross(first: ArrayLike, second: ArrayLike) -> Array:
-    """The cross product of two vectors, shape [3]: numpy's own takes ten times as long for one."""
+    """Cross product of two vectors, shape [3], ten times as fast as NumPy's for a single pair."""
     ax, ay, az = np.asarray(first, np.float64).tolist()
     bx, by, bz = np.asarray(second, np.float64).tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def shortest_turn(start: ArrayLike, end: ArrayLike) -> Array:
-    """The smallest rotation that takes one unit vector to another, as a matrix, shape [3, 3]."""
+    """Matrix of the smallest rotation from one unit vector to another, shape [3, 3]."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     cosine = float(start @ end)
     if cosine < -0.999999:
@@ -138,13 +138,13 @@ def shortest_turn(start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def fitted_rotation(start: ArrayLike, end: ArrayLike) -> Array:
-    """The rotation about the mean that best aligns points with others (Kabsch 1976), shape [3, 3].
+    """Rotation about the mean that best aligns points with others (Kabsch 1976), shape [3, 3].
 
-    Never a mirroring, even where one would fit better.
+    Never a reflection, even if one would fit better.
 
     Args:
         start: Points, shape [N, 3].
-        end: The points that they should fall on, shape [N, 3].
+        end: Their target positions, shape [N, 3].
     """
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
     covariance = (end - end.mean(axis=0)).T @ (start - start.mean(axis=0))
@@ -154,10 +154,10 @@ def fitted_rotation(start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def rotation_and_stretch(linear: ArrayLike) -> tuple[Array, Array]:
-    """Polar decomposition ``linear = rotation @ stretch``; a mirroring goes into the stretch.
+    """Polar decomposition ``linear = rotation @ stretch``; reflections go into the stretch.
 
     Args:
-        linear: A linear map that is not flat, shape [3, 3].
+        linear: A non-singular matrix, shape [3, 3].
     """
     left, scales, right = np.linalg.svd(np.asarray(linear, np.float64))
     rotation = left @ right
@@ -166,28 +166,28 @@ def rotation_and_stretch(linear: ArrayLike) -> tuple[Array, Array]:
 
 
 def tangent_of(direction: Array, normal: Array, fallback: Array) -> Array:
-    """Unit vector along the part of a direction perpendicular to a unit normal, shape [3].
+    """Unit vector along a direction's component perpendicular to a unit normal, shape [3].
 
-    Where the direction is along the normal, the fallback takes its place.
+    If the direction is along the normal, the fallback is used instead.
     """
     for vector in (direction, fallback, np.eye(3)[np.argmin(np.abs(normal))]):
         flat = vector - (vector @ normal) * normal
         size = float(np.linalg.norm(flat))
         if size > 1e-3 * max(float(np.linalg.norm(vector)), 1e-9):
             return np.asarray(flat / size)
-    raise AssertionError("an axis is across every normal")
+    raise AssertionError("no axis is perpendicular enough to the normal")
 
 
 def frame_of(normal: Array, tangent: Array) -> Array:
-    """Rotation whose Z is a unit normal and whose Y is as near to a tangent as possible, [3, 3]."""
+    """Rotation with a unit normal as Z, and Y as close to a tangent as possible, shape [3, 3]."""
     y = tangent_of(tangent, normal, tangent)
     return np.column_stack((cross(y, normal), y, normal))
 
 
 def turned_towards(rotation: Array, target: Array, max_angle: float) -> Array:
-    """A rotation turned towards another, by at most an angle [rad], shape [3, 3].
+    """Turn a rotation towards another by at most an angle [rad], shape [3, 3].
 
-    Half a turn has no axis of its own: it goes about the rotation's Z.
+    The axis of half a turn is ambiguous: the rotation's Z is used.
     """
     vector = rotation_vectors_from_matrices(target @ rotation.T)
     angle = float(np.linalg.norm(vector))

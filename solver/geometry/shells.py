@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shells of a mesh: connected closed surfaces, which lie beside, inside or across each other.
+"""Shells of a mesh: connected closed surfaces, which may lie beside, inside or across each other.
 
-A shell by itself says which way it is wound. Whether that is a body, a cavity or a mistake follows
-from where it lies: a shell outside all others is a body whichever way it is wound; one inside
-another is a cavity where it is wound the other way round, and a body within a body where it isn't.
+A shell's winding alone does not tell whether it is a body, a cavity or a mistake; that depends on
+where it lies. A shell outside all others is a body whichever way it is wound. One inside another is
+a cavity if it is wound the opposite way, and otherwise a body within a body.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 _SAMPLE_COUNT = 7
-"""Corners of a shell that must lie inside another for the whole of it to."""
+"""Number of corners tested to decide whether one shell lies inside another."""
 _CHUNK = 2_000_000
 
 
 def connected_labels(pairs: NDArray[np.integer], count: int) -> NDArray[np.int64]:
-    """Number the groups of things that are connected by pairs.
+    """Label the connected components of a graph.
 
     Args:
-        pairs: Things that are connected, shape [P, 2].
-        count: How many things there are.
+        pairs: Connected nodes, shape [P, 2].
+        count: Number of nodes.
 
     Returns:
-        The group of each thing, from 0, shape [count].
+        Component of each node, from 0, shape [count].
     """
     label = np.arange(count)
     first, second = np.asarray(pairs, np.int64).reshape(-1, 2).T
@@ -39,12 +39,12 @@ def connected_labels(pairs: NDArray[np.integer], count: int) -> NDArray[np.int64
 
 
 def face_edges(faces: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Directed edges of triangles, three a face in turn, shape [3 F, 2]."""
+    """Directed edges of triangles, three per face in order, shape [3 F, 2]."""
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
 
 
 def edge_pairs(faces: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Faces that meet at an edge that no third face has, shape [P, 2].
+    """Pairs of faces that share an edge with no third face, shape [P, 2].
 
     Args:
         faces: Corner indices, shape [F, 3].
@@ -57,7 +57,7 @@ def edge_pairs(faces: NDArray[np.integer]) -> NDArray[np.int64]:
 def _edge_groups(
     faces: NDArray[np.integer],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Order of directed edges that brings equal ones together, where each begins, and how many."""
+    """Group equal edges: their order by group, the start of each group, and its size."""
     ends = np.sort(face_edges(faces), axis=1)
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     ordered = ends[order]
@@ -70,12 +70,12 @@ def shell_labels(
 ) -> NDArray[np.int64]:
     """Shell of each face, from 0, shape [F].
 
-    Faces belong together across an edge that just the two of them have. Bodies that merely touch
-    along an edge are thus shells of their own, as long as each is closed by itself.
+    Two faces that share an edge with no third face belong to the same shell. Bodies that merely
+    touch along an edge are therefore separate shells, as long as each is closed by itself.
 
     Args:
         faces: Corner indices, shape [F, 3].
-        known: Faces that belong together anyway, shape [P, 2].
+        known: Pairs of faces that belong together regardless, shape [P, 2].
     """
     pairs = edge_pairs(faces)
     if known is not None:
@@ -84,7 +84,7 @@ def shell_labels(
     order, begin, uses = _edge_groups(faces)
     group = np.repeat(np.arange(len(begin)), uses)
     owner = label[order // 3]
-    # What is open by itself at an edge of many faces belongs to the others there.
+    # A group that is open by itself at an edge of many faces belongs to the others there.
     _, place, count = np.unique(
         group * (int(label.max()) + 1) + owner, return_inverse=True, return_counts=True
     )
@@ -108,7 +108,7 @@ def shell_volumes(
         label: Shell of each face, shape [F].
     """
     count = int(label.max()) + 1
-    # About a corner of its own: far from the origin the parts would cancel inexactly.
+    # Relative to one of its corners: far from the origin, cancellation would lose precision.
     corner = np.zeros((count, 3))
     corner[label] = vertices[faces[:, 0]]
     first, second, third = (vertices[faces[:, k]] - corner[label] for k in range(3))
@@ -119,14 +119,14 @@ def shell_volumes(
 def winding_number(
     points: NDArray[np.float64], vertices: NDArray[np.float64], faces: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """How often a closed mesh winds around points; 1 inside a body, 0 outside, shape [N].
+    """Winding number of a closed mesh around points; 1 inside a body, 0 outside, shape [N].
 
     A sum of solid angles (van Oosterom and Strackee, 10.1109/TBME.1983.325207): exact, unlike rays
     that may hit an edge.
 
     Args:
-        points: [m], shape [N, 3].
-        vertices: [m], shape [V, 3].
+        points: Points [m], shape [N, 3].
+        vertices: Corner positions [m], shape [V, 3].
         faces: Corner indices, shape [F, 3].
     """
     winding = np.zeros(len(points))
@@ -149,7 +149,7 @@ def shell_signs(
     label: NDArray[np.integer],
     volumes: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """What each shell is: 1 a body, -1 a cavity in the body around it, shape [S].
+    """Whether each shell is a body (1) or a cavity in the body around it (-1), shape [S].
 
     Args:
         vertices: Corner positions [m], shape [V, 3].
@@ -165,7 +165,7 @@ def shell_signs(
     by_shell = np.split(faces[order], np.cumsum(np.bincount(label, minlength=count))[:-1])
     low = np.array([vertices[part].min((0, 1)) for part in by_shell])
     high = np.array([vertices[part].max((0, 1)) for part in by_shell])
-    # From the largest down, so that what is around a shell is known before the shell itself.
+    # From large to small, so that the shells around one are decided before it.
     for shell in np.argsort(-np.abs(volumes), kind="stable"):
         around = (low <= low[shell]).all(1) & (high >= high[shell]).all(1)
         around &= np.abs(volumes) > abs(volumes[shell])
@@ -179,6 +179,6 @@ def shell_signs(
         if parents:
             parent = min(parents, key=lambda other: abs(volumes[other]))
             same = np.sign(volumes[shell]) == np.sign(volumes[parent])
-            # A cavity's own content is a body again; a body within a body is one with it.
+            # A shell in a cavity is a body again; a body within a body merges with it.
             sign[shell] = sign[parent] if same else -sign[parent]
     return sign

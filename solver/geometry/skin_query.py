@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depth of points under a closed skin, and the nearest skin."""
+"""Depth of points below a closed skin, and the nearest points on it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..core.recording_lock import recording_lock
 
 @dataclass(frozen=True)
 class NearestSkin:
-    """The nearest skin to each of N points."""
+    """The nearest point on the skin to each of N points."""
 
     depth: NDArray[np.float32]
     """Distance to the skin, positive inside [m], shape [N]."""
     face: NDArray[np.int32]
     """Nearest triangle, shape [N]."""
     vertex: NDArray[np.int32]
-    """Its corner nearest to the point on it, shape [N]."""
+    """Corner of that triangle nearest to the point on the skin, shape [N]."""
     place: NDArray[np.float64]
-    """Nearest point of the skin [m], shape [N, 3]."""
+    """Nearest point on the skin [m], shape [N, 3]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -36,7 +36,7 @@ def find_nearest(
     vertex: wp.array[int],
     place: wp.array[wp.vec3],
 ) -> None:
-    """Find the nearest skin to each point; its normal tells which side the point is on."""
+    """Find the nearest point on the skin; its normal tells on which side the query point is."""
     i = wp.tid()
     query = wp.mesh_query_point_sign_normal(mesh, point[i], max_distance)
     nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
@@ -53,11 +53,11 @@ def find_nearest(
 
 
 class SkinQuery:
-    """A skin to query about points; it need not be closed if only distances matter.
+    """Nearest-point queries on a skin, which need not be closed if only distances matter.
 
-    The nearest skin alone decides which side a point is on (Baerentzen and Aanaes, "Signed distance
-    computation using the angle weighted pseudonormal", 2005, 10.1109/TVCG.2005.49). That costs a
-    fifth of winding numbers and gives the same, except where the skin intersects itself.
+    The normal at the nearest point decides on which side a point is (Baerentzen and Aanaes, "Signed
+    distance computation using the angle weighted pseudonormal", 2005, 10.1109/TVCG.2005.49). That
+    costs a fifth of winding numbers and agrees with them except where the skin intersects itself.
 
     Args:
         vertices: Corners [m], shape [V, 3].
@@ -65,7 +65,7 @@ class SkinQuery:
     """
 
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> None:
-        # Centered, where float32 resolves best.
+        # Centered on the origin, where float32 is most precise.
         self.middle = 0.5 * (vertices.min(0) + vertices.max(0))
         self.extent = float(np.linalg.norm(np.ptp(vertices, axis=0)))
         with recording_lock:
@@ -75,7 +75,7 @@ class SkinQuery:
             )
 
     def nearest(self, points: NDArray[np.float64]) -> NearestSkin:
-        """Find the nearest skin to each point [m], shape [N, 3]."""
+        """Find the nearest point on the skin to each point [m], shape [N, 3]."""
         with recording_lock:
             return self._nearest(points)
 

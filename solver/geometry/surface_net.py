@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh of the zero set of a signed distance: a surface net, smoothed along the surface.
+"""Meshes of the zero level of a signed distance: surface nets, smoothed along the surface.
 
 Dual to a grid: one vertex in every cell that the surface cuts, one quad around every grid edge that
 it crosses (Gibson, "Constrained Elastic Surface Nets", MICCAI 1998, 10.1007/BFb0056277). The net is
@@ -38,7 +38,7 @@ _CORNERS = np.array([(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 
 
 def _connected(corners: set[int]) -> bool:
-    """Whether these corners of a cell are all connected along its edges."""
+    """Whether some corners of a cell are all connected along its edges."""
     reached: set[int] = set()
     ahead = set(list(corners)[:1])
     while ahead:
@@ -86,7 +86,7 @@ def surface_net(
     distance: Callable[[Array], Array], low: Array, high: Array, edge: float
 ) -> tuple[Array, NDArray[np.int32]]:
     """Mesh the zero level of a signed distance inside a box around some of its points."""
-    # Quads of the net are cut into two triangles, whose mean edge is 1.1 of the cell's.
+    # Each quad of the net is cut into two triangles, whose mean edge is 1.1 times the cell's.
     cell = edge / 1.1
     origin, values = _sample(distance, low, high, cell)
     pattern = _open_creases(values)
@@ -132,7 +132,7 @@ def _relax(
 
 
 def to_surface(distance: Callable[[Array], Array], points: Array, max_distance: float) -> Array:
-    """Offset from points to the surface near them, limited in length [m], shape [N, 3]."""
+    """Offset from points to the nearby surface, limited in length [m], shape [N, 3]."""
     probe = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]]) * 2e-4
     values = distance((points[:, None, :] + probe).reshape(-1, 3)).reshape(-1, 4)
     slope = values @ probe / (4.0 * 2e-4**2)

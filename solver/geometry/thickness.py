@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How thick the walls of a closed mesh are, and particles in those too thin for a lattice."""
+"""Wall thickness of a closed mesh, and particles in walls too thin for a lattice."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ MIN_THICKNESS = 0.9
 """Walls thinner than this cannot be filled by a lattice without holes, in spacings."""
 
 _LAYER_DISTANCE = 0.79
-"""Least distance in a layer, in spacings, at which darts leave one particle in each spacing²."""
+"""Smallest distance in a layer, in spacings, which yields one particle per spacing²."""
 _LAYER_SAMPLES = 12.0
-"""Darts for each particle of a layer."""
+"""Number of darts per particle of a layer."""
 _SAMPLE_COUNT = 4000
 _START = 1e-4
-"""How far inside the surface a ray starts, over the mesh's size."""
+"""How far inside the surface a ray starts, relative to the mesh's size."""
 
 
 @wp.kernel(enable_backward=False)
@@ -30,32 +30,32 @@ def measure_ray(
     mesh: wp.uint64,
     start: wp.array[wp.vec3],
     direction: wp.array[wp.vec3],
-    farthest: float,
+    max_distance: float,
     distance: wp.array[float],
 ) -> None:
-    """Distance along a ray to the mesh, or the farthest that is looked for."""
+    """Measure the distance along a ray to the mesh, at most ``max_distance``."""
     i = wp.tid()
-    query = wp.mesh_query_ray(mesh, start[i], direction[i], farthest)
-    distance[i] = farthest
+    query = wp.mesh_query_ray(mesh, start[i], direction[i], max_distance)
+    distance[i] = max_distance
     if query.result:
         distance[i] = query.t
 
 
 @dataclass(frozen=True, eq=False)
 class Thickness:
-    """Thickness of walls at places spread evenly over a surface."""
+    """Wall thickness at points spread evenly over a surface."""
 
     values: NDArray[np.float64]
-    """Straight through the wall to the other side, each standing for the same area, shape [S]."""
+    """Distance straight through the wall; each sample covers the same area, shape [S]."""
     points: NDArray[np.float64]
-    """Halfway between the two sides, shape [S, 3]."""
+    """Points halfway between the two sides, shape [S, 3]."""
 
     def share_below(self, thickness: float) -> float:
-        """Part of the surface that has walls thinner than this."""
+        """Fraction of the surface with walls thinner than a threshold."""
         return float((self.values < thickness).mean())
 
-    def below(self, thickness: float) -> float:
-        """Median thickness of the walls that are thinner than this."""
+    def median_below(self, thickness: float) -> float:
+        """Median thickness of the walls thinner than a threshold."""
         return float(np.median(self.values[self.values < thickness]))
 
 
@@ -66,19 +66,19 @@ def wall_thickness(
     *,
     count: int = _SAMPLE_COUNT,
 ) -> Thickness:
-    """Measure how thick walls are, by rays through them.
+    """Measure wall thickness with rays.
 
     Args:
-        surface: The mesh for rays.
+        surface: The mesh, for ray queries.
         vertices: Its corners, shape [V, 3].
         faces: Corner indices, wound outward, shape [F, 3].
-        count: At how many places.
+        count: Number of samples.
     """
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normal, axis=1)
     random = np.random.default_rng(0)
-    # Even steps through the area instead of dice: a part of the surface is met by its share.
+    # Stratified rather than independent: each part of the surface gets samples by its area.
     ends = np.cumsum(area)
     face = np.searchsorted(ends, (np.arange(count) + random.uniform(size=count)) / count * ends[-1])
     face = np.minimum(face, len(faces) - 1)
@@ -113,16 +113,16 @@ def layer_in_thin_walls(
     faces: NDArray[np.int32],
     present: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """One layer of particles, halfway through the walls too thin for a lattice, shape [L, 3].
+    """Place one layer of particles halfway through walls too thin for a lattice, shape [L, 3].
 
-    Darts are thrown at the middle of the walls, and those that come too close to another or to
-    a particle that is there are left out (Cook, 10.1145/8927.8927).
+    Poisson-disk sampling by dart throwing (Cook, 10.1145/8927.8927): darts that land too close to
+    another or to an existing particle are rejected.
 
     Args:
-        surface: The mesh for rays, in units of the spacing.
+        surface: The mesh, for ray queries, in units of the spacing.
         vertices: Its corners, shape [V, 3].
         faces: Corner indices, wound outward, shape [F, 3].
-        present: Particles that are there already, shape [N, 3].
+        present: Existing particles, shape [N, 3].
     """
     walls = wall_thickness(
         surface, vertices, faces, count=math.ceil(_LAYER_SAMPLES * mesh_area(vertices, faces))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which points are all but at one place."""
+"""Groups of nearly coincident points."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from .shells import connected_labels
 
 
 def near_labels(points: NDArray[np.float64], distance: float) -> NDArray[np.int64]:
-    """Number the groups of points that are within a distance of each other, shape [N].
+    """Label groups of points that are within a distance of each other, shape [N].
 
-    Groups are chains: two points far apart are in one if others lie between them.
+    Groups are chains: two distant points share a group if others bridge the gap.
 
     Args:
-        points: [m], shape [N, 3].
-        distance: [m].
+        points: Points [m], shape [N, 3].
+        distance: Largest distance of neighbors in a group [m].
     """
-    # Sorted along the axis on which they are spread widest, each meets only those right behind.
+    # Sorted along their widest axis, each point is compared only with those just behind it.
     axis = int(np.argmax(np.ptp(points, axis=0)))
     order = np.argsort(points[:, axis], kind="stable")
     ordered = points[order]

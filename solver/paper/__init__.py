@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's clay, as printed."""
+"""The paper's clay model, as printed."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Elastoplasticity of the paper's clay: distance constraints that come and go (eq. 5).
 
-A pair that moves along its connecting segment slower than one threshold is held at its distance; a
+A pair whose ends approach or part slower than one threshold is held at its distance; a
 held pair that moves faster than another, higher threshold is released. Where the paper is silent:
 
 - It gives no thresholds. They are strain rates here, relative velocity over distance: as
@@ -32,12 +32,13 @@ ACTIVATION_REACH = 1.5
 DEACTIVATION_REACH = 2.0
 """Bonds longer than this are released at once, in spacings."""
 RELAXATION = 1.7
-"""Over-relaxation of the Jacobi iteration, over each particle's bound; chains diverge at 2."""
+"""Over-relaxation of the Jacobi iteration, relative to each particle's bound; chains diverge at
+2."""
 
 
 @wp.struct
 class BondSwitch:
-    """When bonds come and go, for one spacing and time step."""
+    """When bonds form and break, for one spacing and time step."""
 
     spacing: float
     time_step: float
@@ -65,7 +66,7 @@ def switch_bonds(
     velocity: wp.array[wp.vec3],
     bound: wp.array[float],
 ) -> None:
-    """Activate slow pairs and release fast bonds; both ends decide alike from the same numbers.
+    """Activate slow pairs and release fast bonds; both ends decide alike from equal numbers.
 
     ``bound`` limits how far the bonds of a particle may move it together: no eigenvalue of
     Σ n nᵀ over its bonds is larger.
@@ -157,7 +158,7 @@ class BondConstraints:
         return law
 
     def activate_all(self, rows: Rows) -> None:
-        """Bond all pairs that are slow at the start, without waiting."""
+        """Bond all pairs that are slow now, without waiting."""
         law = self._law()
         law.time_step = 1.0
         self._switch(rows, law)
@@ -166,7 +167,7 @@ class BondConstraints:
         """Activate and release bonds by the rates at the start of a substep."""
         law = self._law()
         law.time_step = time_step
-        # Half a substep of slack: sums of a substep's length must not miss by rounding.
+        # Half a substep of slack, so that rounding of the summed time does not matter.
         law.activation_time = ACTIVATION_TIME - 0.5 * time_step
         law.deactivation_time = DEACTIVATION_TIME - 0.5 * time_step
         self._switch(rows, law)
@@ -176,8 +177,8 @@ class BondConstraints:
 
         Args:
             rows: Neighbors and their bonds.
-            displacement: Since the start of the substep [m], read.
-            corrected: The same after the projection [m], written.
+            displacement: Displacements since the start of the substep [m], read.
+            corrected: Displacements after the projection [m], written.
         """
         particles = self.particles
         wp.launch(

@@ -2,10 +2,10 @@
 """Contact and friction of the paper's clay (section III-D): ghost particles and sliding anchors.
 
 Each constraint is impenetrability against one ghost particle: n · (x - g) >= R with the ghost's
-normal, so that it only ever repels to the outside, or the distance |x - g| >= R where the particle
-is beside the ghost, as at the rim of a face. An infinite plane has a ghost directly below every
-particle. R is half the spacing: the ball of a resting particle touches the surface. Friction pulls
-a particle to its anchor, by no more than μ times the projection by impenetrability.
+normal, so that it only repels outward, or the distance |x - g| >= R where the particle is beside
+the ghost, as at the rim of a face. An infinite plane has a ghost directly below every particle. R
+is half the spacing: the ball of a resting particle touches the surface. Friction pulls a particle
+to its anchor, by no more than μ times the projection by impenetrability.
 
 Where the paper is silent:
 
@@ -33,9 +33,9 @@ from .contact_search import (
 )
 
 GHOST_SPACING = 1.0
-"""Distance between ghosts, over a particle's radius."""
+"""Distance between ghosts, in particle radii."""
 REACH = 3.0
-"""Search radius for ghosts around a particle's predicted position, over its radius."""
+"""Search radius for ghosts around a particle's predicted position, in particle radii."""
 
 
 @wp.kernel(enable_backward=False)
@@ -118,7 +118,7 @@ class PaperContacts:
 
     Args:
         particles: The clay.
-        contacts: The colliders, their motion, and where impulses are summed.
+        contacts: The colliders, their motion, and the sums of impulses.
     """
 
     def __init__(self, particles: Particles, contacts: Contacts) -> None:
@@ -159,11 +159,11 @@ class PaperContacts:
         self.slots = slots
 
     def find(self, common: ContactPass, displacement: wp.array) -> None:
-        """Find the constraints of a substep; those that existed before keep their anchors.
+        """Find the constraints of a substep; those that persist keep their anchors.
 
         Args:
             common: The substep.
-            displacement: Predicted without constraints [m].
+            displacement: Displacements predicted without constraints [m].
         """
         contacts, slots = self.contacts, self.slots
         if not contacts.colliders:
@@ -221,7 +221,7 @@ class PaperContacts:
 
         Args:
             common: The substep.
-            displacement: Since the start of the substep [m].
+            displacement: Displacements since the start of the substep [m].
         """
         if not self.contacts.colliders:
             return
@@ -267,7 +267,7 @@ class PaperContacts:
         return {f"anchor_{name}": getattr(self.slots, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         if not self.contacts.colliders:
             return
         for name in ("count", "collider", "normal", "stretch", "idle"):

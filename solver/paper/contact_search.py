@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Search for the ghost particles that a particle of the paper's clay meets in a substep.
+"""Search for the ghost particles that a clay particle meets in a substep of the paper's model.
 
 Section III-D of the paper sets a constraint for every ghost within a radius. Here a particle meets
 the nearest ghost of a mesh, and others only if it is outside them and their normals differ, as in a
@@ -14,11 +14,11 @@ from ..contact.law import ContactPass
 MAX_CONSTRAINTS = 4
 """Largest number of constraints of a particle."""
 MAX_MESH_CONSTRAINTS = 3
-"""Largest number of them with one mesh: a corner has three faces."""
+"""Largest number of constraints with one mesh: a corner has three faces."""
 DIFFERENT_NORMALS = 0.7
 """Cosine of two normals below which ghosts belong to different faces."""
 BESIDE = 0.75
-"""Lateral distance from the nearest ghost beyond which a particle is off a rim, in radii."""
+"""Lateral distance from the nearest ghost at which a particle is off a rim, in particle radii."""
 ANCHOR_MEMORY = 2
 """An anchor is dropped after this many substeps without contact."""
 
@@ -73,12 +73,12 @@ def add_constraint(
         slots.drag[i, used] = wp.vec3()
         stretch = wp.vec3()
         idle = int(ANCHOR_MEMORY)
-        likeness = float(DIFFERENT_NORMALS)
+        max_cosine = float(DIFFERENT_NORMALS)
         for k in range(slots.count_before[i]):
             if slots.collider_before[i, k] == collider:
                 cosine = wp.dot(slots.normal_before[i, k], normal)
-                if cosine > likeness:
-                    likeness = cosine
+                if cosine > max_cosine:
+                    max_cosine = cosine
                     stretch = slots.stretch_before[i, k]
                     idle = slots.idle_before[i, k]
         slots.stretch[i, used] = stretch - normal * wp.dot(stretch, normal)
@@ -111,18 +111,19 @@ def find_ghost_contacts(
     searching = bool(True)
     while searching:
         chosen = int(-1)
-        least = reach * reach
+        nearest = reach * reach
         for g in wp.hash_grid_query(grid, local, reach):
             offset = local - ghost_position[g]
             above = wp.dot(offset, ghost_normal[g])
             beside = wp.length(offset - ghost_normal[g] * above)
             off_rim = beside > BESIDE * common.radius
-            # Distance of the surface that the ghost represents. The lateral part counts half: with
-            # less, a round tool's farthest tangent plane would win, with more a rim's other face.
+            # Distance from the surface that the ghost represents. The lateral part has half weight:
+            # with less, a round tool's farthest tangent plane would win, with more a rim's other
+            # face.
             distance = above * above + 0.5 * beside * beside
             if off_rim:
                 distance = wp.length_sq(offset)
-            if distance < least or (distance == least and g < chosen):
+            if distance < nearest or (distance == nearest and g < chosen):
                 allowed = bool(True)
                 if slots.count[i] > first:
                     normal = wp.transform_vector(after, ghost_normal[g])
@@ -132,7 +133,7 @@ def find_ghost_contacts(
                         if wp.dot(normal, slots.normal[i, k]) > DIFFERENT_NORMALS:
                             allowed = False
                 if allowed:
-                    least = distance
+                    nearest = distance
                     chosen = g
         searching = False
         if chosen >= 0:

@@ -16,7 +16,7 @@ from .kernel import KERNEL_RADIUS, cubic_gradient, cubic_kernel
 from .neighbors import Support
 
 RELAXATION_TIME = 0.004
-"""A substep Δt corrects the share Δt over this of a change of volume, at most all of it [s]."""
+"""A substep Δt corrects a fraction Δt over this of a volume change, at most all of it [s]."""
 MAX_COMPRESSION = 0.2
 """Largest compression that is corrected at once; more would throw particles apart."""
 REGULARIZATION = 1e-3
@@ -30,11 +30,11 @@ class Density:
     volume: float
     """Volume of a particle [m³]."""
     kernel_radius: float
-    """[m]"""
+    """Support of the kernel [m]."""
     fraction: float
-    """Share of a change of volume that one substep corrects."""
+    """Fraction of a volume change that one substep corrects."""
     regularization: float
-    """[1/(kg m²)]"""
+    """Added to the denominator [1/(kg m²)]."""
 
 
 @wp.kernel(enable_backward=False)
@@ -48,7 +48,7 @@ def solve_density(
     compression: wp.array[float],
     multiplier: wp.array[float],
 ) -> None:
-    """Compression of each particle and the multiplier of eq. 2 that would undo it."""
+    """Find each particle's compression, and the multiplier of eq. 2 that would undo it."""
     i = wp.tid()
     radius = density.kernel_radius
     total = cubic_kernel(0.0, radius)
@@ -109,14 +109,14 @@ class DensityConstraints:
         self.density.kernel_radius = KERNEL_RADIUS * particles.spacing
         self.density.fraction = 1.0
         self.density.regularization = REGULARIZATION * lattice_denominator(
-            particles.spacing, particles.least_mass
+            particles.spacing, particles.min_mass
         )
         self.compression = wp.zeros(count, dtype=float, device=device)
-        """Relative excess of density over that at rest, at least 0; as last evaluated."""
+        """Relative excess over the rest density, at least 0, as last evaluated."""
         self._multiplier = wp.zeros(count, dtype=float, device=device)
 
     def begin_substep(self, time_step: float) -> None:
-        """Set the share that a substep of this length corrects."""
+        """Set the fraction that a substep of this length corrects."""
         self.density.fraction = min(1.0, time_step / RELAXATION_TIME)
 
     def project(self, support: Support, displacement: wp.array, corrected: wp.array) -> None:
@@ -124,8 +124,8 @@ class DensityConstraints:
 
         Args:
             support: Neighbors within the kernel.
-            displacement: Since the start of the substep [m], read.
-            corrected: The same after the projection [m], written.
+            displacement: Displacements since the start of the substep [m], read.
+            corrected: Displacements after the projection [m], written.
         """
         particles = self.particles
         wp.launch(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The clay of the paper, as printed."""
+"""The clay model of the paper, as printed."""
 
 import numpy as np
 import warp as wp
@@ -63,19 +63,19 @@ class PaperModel:
         ablated = Solver(scene, Settings(model="paper", viscosity=False))
 
     *Limitations*: only density and friction of a `Material` have an effect; the stiffness depends
-    on spacing, substeps and iterations. At 8 substeps of 4 iterations a cube of 4 cm leans by .06
-    of its size on an incline of 15° at a spacing of 5 mm, by .03 at 10 mm and by .27 at 2.5 mm; at
-    4 substeps it collapses. Clay yields by its rate of strain, not by stress: where a ball was
-    pressed in by 10 mm, .95 of the dent springs back at 15 mm/s, .7 at 50, .4 at 150 and .1 at 300.
+    on spacing, substeps and iterations. With 8 substeps of 4 iterations, a 4 cm cube on an incline
+    of 15° leans by .06 of its size at a spacing of 5 mm, by .03 at 10 mm and by .27 at 2.5 mm; with
+    4 substeps it collapses. Clay yields by strain rate, not by stress: if a ball is pressed in by
+    10 mm, .95 of the dent springs back at 15 mm/s, .7 at 50, .4 at 150 and .1 at 300.
     Velocities are differences of positions, which damps rotation, by 1/√(1 + 2 ω² Δt t). Particles
-    deeper in a mesh than one and a half spacings are not found and not moved out. Particles at the
+    deeper in a mesh than 1.5 spacings are not found and not moved out. Particles at the
     same point stay together: the kernel has no gradient there.
 
     Args:
-        scene: Not used: the particles hold everything needed of its materials.
+        scene: Not used: the particles hold all that is needed.
         particles: The clay.
         contacts: The colliders.
-        settings: Resolution in time, and which constraints to leave out.
+        settings: Resolution in time, and which constraints to use.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class PaperModel:
         count, spacing, device = particles.count, particles.spacing, particles.device
         self.device = device
         self.displacement = wp.zeros(count, dtype=wp.vec3, device=device)
-        """Since the start of the substep [m]: small numbers, which float32 resolves."""
+        """Displacements since the start of the substep [m], small enough for float32 to resolve."""
         self._spare = wp.zeros(count, dtype=wp.vec3, device=device)
         self.neighbors = NeighborRows(
             count, spacing, KERNEL_RADIUS * spacing, SKIN * spacing, device
@@ -102,30 +102,30 @@ class PaperModel:
 
     @property
     def can_sleep(self) -> bool:
-        """Always false: its passes work on all particles."""
+        """Always false: the passes work on all particles."""
         return False
 
     def rest(self, resting: NDArray, time_step: float) -> None:
-        """Nothing falls asleep."""
+        """Do nothing: nothing falls asleep."""
 
-    def unheld(self, regions: Regions) -> NDArray:
-        """Nothing ever sleeps."""
+    def unsupported(self, regions: Regions) -> NDArray:
+        """Return false for all regions: nothing sleeps."""
         return np.zeros(len(regions.asleep), bool)
 
     def wake(self, woken: NDArray) -> None:
-        """Nothing wakes."""
+        """Do nothing: nothing sleeps."""
 
     def woken(self) -> None:
-        """Nothing wakes."""
+        """Do nothing: nothing sleeps."""
 
     def begin_step(self) -> None:
-        """Nothing spans a step."""
+        """Do nothing: no state spans a step."""
 
     def run_substep(self, substep: ContactPass) -> None:
         """Carry out algorithm 1 once."""
         particles, time_step = self.particles, substep.time_step
         self.neighbors.begin_substep(particles.position)
-        # As printed, gravity acts during the whole step.
+        # As printed in the paper, gravity acts during the whole step.
         particles.fall_freely(time_step, time_step)
         wp.launch(
             predict_displacement,
@@ -145,12 +145,12 @@ class PaperModel:
             # constraints it would act on their pull against each other.
             if self.viscosity:
                 self.viscosity.project(support, self.displacement, self._spare)
-                self._take_corrected()
+                self._swap_displacements()
             self.density.project(support, self.displacement, self._spare)
-            self._take_corrected()
+            self._swap_displacements()
             if self.bonds:
                 self.bonds.project(rows, self.displacement, self._spare)
-                self._take_corrected()
+                self._swap_displacements()
             self.contact.project(substep, self.displacement)
         self.contact.settle(substep, self.displacement)
         wp.launch(
@@ -161,16 +161,16 @@ class PaperModel:
         )
         particles.move(time_step)
 
-    def _take_corrected(self) -> None:
+    def _swap_displacements(self) -> None:
         self.displacement, self._spare = self._spare, self.displacement
 
     def compression(self) -> NDArray:
-        """Each particle's relative excess of density over that at rest, at least 0; shape [N]."""
+        """Relative excess of each particle's density over the rest density, at least 0; [N]."""
         return self.density.compression.numpy()
 
     @property
     def overflow(self) -> int:
-        """Number of neighbors that found no free slot, since the start."""
+        """Number of neighbors dropped for lack of a free slot since the start."""
         return self.neighbors.overflow
 
     def passes(self) -> list[str]:
@@ -191,7 +191,7 @@ class PaperModel:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         self.density.compression.assign(state["compression"])
         self.neighbors.restore(state)
         self.contact.restore(state)

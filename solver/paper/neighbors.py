@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Neighbor rows of the paper's clay: pairs within the kernel's reach, and which of them are bonded.
+"""Neighbor rows of the paper's clay: pairs within the kernel's reach, and which are bonded.
 
-Both ends of a pair keep their own copy of its state and reach the same decisions from the same
+Both ends of a pair keep their own copy of its state and make the same decisions from the same
 numbers, so that no pass needs atomics and results do not depend on the order of threads.
 """
 
@@ -14,7 +14,7 @@ from .kernel import cubic_gradient
 SLOTS = 96
 """Largest number of neighbors of a particle: clay at three times its density."""
 SUPPORT_SLOTS = 64
-"""Largest number of them within the kernel's support: clay at twice its density."""
+"""Largest number of neighbors within the kernel's support: clay at twice its density."""
 _GRID_CELLS = 64
 
 
@@ -122,7 +122,7 @@ class NeighborRows:
 
     Args:
         particle_count: Number of particles.
-        spacing: Distance between particles at rest [m].
+        spacing: Particle spacing at rest [m].
         kernel_radius: Support of the kernel [m], the distance within which pairs interact.
         skin: Extra distance listed [m]; rows stay valid until a particle has moved half of it.
         device: Warp device.
@@ -183,7 +183,7 @@ class NeighborRows:
         wp.copy(self.listed_position, position)
 
     def _rebuild_if_moved(self, position: wp.array) -> None:
-        """Refill the rows if a particle has used up its half of the skin."""
+        """Refill the rows if a particle has moved half of the skin."""
         self._largest.zero_()
         wp.launch(
             measure_displacement,
@@ -213,11 +213,11 @@ class NeighborRows:
 
     @property
     def overflow(self) -> int:
-        """Number of neighbors that found no free slot, since the start."""
+        """Number of neighbors dropped for lack of a free slot since the start."""
         return int(self._overflow.numpy()[0])
 
     def snapshot(self) -> dict[str, NDArray]:
-        """State that determines the next passes; rows one after another."""
+        """State that determines the next passes; the rows are joined end to end."""
         count = self.rows.count.numpy().copy()
         used = np.arange(SLOTS) < count[:, None]
         return {
@@ -230,7 +230,7 @@ class NeighborRows:
         }
 
     def restore(self, state: dict[str, NDArray]) -> None:
-        """Return to the state that `snapshot` gave."""
+        """Restore a state returned by `snapshot`."""
         count = state["neighbor_count"]
         used = np.arange(SLOTS) < count[:, None]
         self.rows.count.assign(count)

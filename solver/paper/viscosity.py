@@ -21,7 +21,7 @@ from .neighbors import Support
 RELAXATION = 1.2
 """Over-relaxation of the Jacobi iteration; it diverges above 1.48 on a lattice."""
 MIN_EIGENVALUE = 0.15
-"""Directions in which a particle has less than this share of a full set of neighbors carry none."""
+"""Directions in which a particle has less than this fraction of its full support are ignored."""
 POLAR_ITERATIONS = 2
 """Newton steps to the rotation, from the identity; a substep turns clay by a small angle."""
 
@@ -69,7 +69,7 @@ def prepare_viscosity(
     known: wp.array[wp.mat33],
     denominator: wp.array[float],
 ) -> None:
-    """Gradient correction and eq. 2's denominator, from positions at the start of the substep.
+    """Find the gradient correction and eq. 2's denominator at the start of the substep.
 
     ``known`` projects onto the directions in which a particle has enough neighbors.
     """
@@ -100,8 +100,7 @@ def solve_viscosity(
     denominator: wp.array[float],
     multiplier: wp.array[wp.mat33],
 ) -> None:
-    """Strain of each particle's neighborhood in this substep, and the multiplier that would undo
-    it.
+    """Find each neighborhood's strain in this substep, and the multiplier that would undo it.
 
     The multiplier is rotated back into the world and includes the gradient correction.
     """
@@ -176,8 +175,8 @@ class ViscosityConstraints:
 
         Args:
             support: Neighbors within the kernel.
-            displacement: Since the start of the substep [m], read.
-            corrected: The same after the projection [m], written.
+            displacement: Displacements since the start of the substep [m], read.
+            corrected: Displacements after the projection [m], written.
         """
         particles = self.particles
         wp.launch(

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default clay: bonds that yield by stress, solved implicitly."""
+"""The default clay model: bonds that yield by stress, solved implicitly."""

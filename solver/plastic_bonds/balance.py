@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether clay that sleeps is still held.
+"""Detection of sleeping clay that has lost its support.
 
-To its awake neighbors, sleeping clay is a wall. A wall holds whatever hangs on it, even after its
-own support is gone. So in each step, for each piece of sleeping clay, its weight, the forces of
+To its awake neighbors, sleeping clay is a wall, and a wall holds whatever hangs on it, even after
+its own support is gone. So in each step, for each piece of sleeping clay, its weight, the forces of
 colliders when it fell asleep and the forces of its awake neighbors are summed: unless they balance,
-the piece is not held. Clay that lies on something may be pressed against it, though.
+the piece is unsupported. Clay that lies on something may be pressed against it, though.
 """
 
 import numpy as np
@@ -20,9 +20,9 @@ from .law_data import BREAK_LENGTH, PairLaw, ParticleLaw, SharedLaw
 from .law_functions import bond_hold, kernel_slope, pair_pull
 from .pairs.rows import COMPRESSION, PairRows
 
-BORNE = 0.2
-"""Sleeping clay withstands this fraction of its weight sideways or upward: friction and inertia
-hold it."""
+MAX_IMBALANCE = 0.2
+"""Sleeping clay tolerates this fraction of its weight sideways or upward: friction and inertia hold
+it."""
 MIN_ACCELERATION = 0.1
 """Imbalances that would accelerate sleeping clay by less than this are ignored [m/s²]."""
 
@@ -85,7 +85,7 @@ def sum_support(
 
 
 class Balance:
-    """Finds sleeping clay that is no longer held.
+    """Finds sleeping clay that has lost its support.
 
     Args:
         particles: The clay.
@@ -98,7 +98,7 @@ class Balance:
         self._support = np.zeros((0, 3))
         self._mass = np.zeros(0)
 
-    def unheld(
+    def unsupported(
         self,
         regions: Regions,
         shared: SharedLaw,
@@ -107,13 +107,13 @@ class Balance:
         pairs: PairRows,
         contacts: Contacts,
     ) -> NDArray[np.bool_]:
-        """Which regions sleep but are no longer held, shape [R].
+        """Whether each region is asleep but has lost its support, shape [R].
 
         Args:
             regions: The regions of the clay, asleep and awake.
-            shared: What all pairs share.
-            pair_laws: The values of each pair of materials.
-            particle_laws: The values of particles of each material.
+            shared: Values that all pairs share.
+            pair_laws: Values of each pair of materials.
+            particle_laws: Values of particles of each material.
             pairs: The rows of neighbors.
             contacts: The contacts of the clay.
         """
@@ -151,11 +151,11 @@ class Balance:
             down = gravity / strength
             into = np.maximum(net @ down, 0.0) * (support @ down < 0.0)
             net -= into[:, None] * down
-        unborne = np.linalg.norm(net, axis=1) > mass * (BORNE * strength + MIN_ACCELERATION)
-        return occupied & unborne[self._piece]
+        tolerated = mass * (MAX_IMBALANCE * strength + MIN_ACCELERATION)
+        return occupied & (np.linalg.norm(net, axis=1) > tolerated)[self._piece]
 
     def _pieces(self, regions: Regions, occupied: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """The number of the connected piece of sleeping clay, by region, shape [R]."""
+        """Label of the connected piece of sleeping clay that each region is in, shape [R]."""
         boxes, shape = regions.boxes, regions.shape
         reach = BREAK_LENGTH * self.particles.spacing
         label = np.arange(len(occupied))
@@ -197,4 +197,4 @@ _DIAGONALS = tuple(
     for z in (-1, 0, 1)
     if abs(x) + abs(y) + abs(z) > 1 and (x > 0 or y > 0)
 )
-"""With the axes, one of each pair of opposite directions to a neighboring region."""
+"""With the axes, one of each two opposite directions to a neighboring region."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Cutting: a bond breaks across a collider that is thinner than the bond is long.
 
-A blade pushes the clay on both of its sides away, but bonds reach across a thin one and hold. So a
-bond breaks where both of its ends touch the same mesh and each lies behind the surface that the
-other touches.
+A blade pushes the clay on both sides away, but bonds reach across a thin blade and hold. So a bond
+breaks if both of its ends touch the same mesh and each lies behind the surface that the other
+touches.
 """
 
 import warp as wp
@@ -24,18 +24,18 @@ direction into the surface is more than this."""
 def cut_bonds_of(
     plane_count: int, position: wp.array[wp.vec3], slots: ContactSlots, pairs: PairRows, i: int
 ) -> None:
-    """Break a particle's bonds to the far side of what it touches; planes have no far side."""
+    """Break a particle's bonds to the far side of meshes that it touches."""
     for k in range(slots.count[i]):
         if slots.collider[i, k] >= plane_count:
             for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
                 j = pairs.other[slot]
                 if pairs.rest_length[slot] > 0.0 and slots.count[j] > 0:
-                    way = wp.normalize(position[j] - position[i])
-                    if wp.dot(way, slots.normal[i, k]) < -MIN_COSINE_BEHIND:
+                    direction = wp.normalize(position[j] - position[i])
+                    if wp.dot(direction, slots.normal[i, k]) < -MIN_COSINE_BEHIND:
                         for other in range(slots.count[j]):
                             if (
                                 slots.collider[j, other] == slots.collider[i, k]
-                                and wp.dot(way, slots.normal[j, other]) > MIN_COSINE_BEHIND
+                                and wp.dot(direction, slots.normal[j, other]) > MIN_COSINE_BEHIND
                             ):
                                 pairs.rest_length[slot] = 0.0
 

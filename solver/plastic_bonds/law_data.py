@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The numbers that the law of the clay works with, and how they follow from materials.
+"""The parameters of the clay's law, and how they follow from materials.
 
-The formulas themselves, with the constants that appear in them alone, are in `law`.
+The formulas themselves, with the constants that only they use, are in `law`.
 """
 
 import numpy as np
@@ -17,30 +17,30 @@ BOND_REACH = 1.5
 FORM_REACH = 1.25
 """Free pairs closer than this become bonded, in spacings."""
 PRESS_REACH = 1.4
-"""Free pairs closer than this begin to press on each other, in spacings. They go on until they are
-as far apart as bonds that break: pairs that came and went at one distance would jitter."""
+"""Free pairs closer than this begin to press on each other, in spacings. They continue up to the
+length at which bonds break: with a single threshold, pairs would jitter."""
 SURFACE_FLOOR = 0.4
-"""Lopsidedness up to which a particle counts as inside the clay, over that at a flat surface."""
+"""Asymmetry up to which a particle counts as inside the clay, relative to a flat surface's."""
 SURFACE_SHARE = 0.8
-"""Fraction of the neighbors missing at a surface that is made up for. With all of them, thin necks
-of clay swell and part early; with none, kneaded clay loses a tenth of its volume."""
+"""Fraction of the neighbors missing at a surface that is compensated. With 1, thin necks of clay
+swell and break early; with 0, kneaded clay loses a tenth of its volume."""
 BREAK_LENGTH = 1.9
 """A bond longer than this breaks, in spacings."""
 FADE_LENGTH = 1.5
-"""A bond longer than this holds less and less, in spacings: breaking under its full load would
-jolt the clay."""
+"""Bonds longer than this weaken gradually, in spacings: breaking under full load would jolt the
+clay."""
 MIN_REST_LENGTH = 0.6
 """Rest lengths never fall below this, in spacings."""
 DWELL = 2.0
-"""Substeps a free pair must stay close before it bonds: a neighbor rushing by is not caught."""
+"""Substeps for which a free pair must stay close to bond, so that passing neighbors do not."""
 TENSION = 1.0
-"""Force at which a bond draws out, over the tension limit times d². It is more than bonds carry
-where the clay shears at the same stress, so that it limits all-round tension only."""
+"""Force at which a bond draws out, relative to the tension limit times d². It is more than bonds
+carry in shear at the same stress, so that it limits all-round tension only."""
 MAX_VISCOUS_REACH = 64.0
-"""Viscosity is capped at what carries motion this far in a substep, in spacings: the solve could
-not resolve more."""
+"""Viscosity is capped so that it carries motion no farther than this in a substep, in spacings: the
+solve could not resolve more."""
 BULK_OVER_SHEAR = 3.0
-"""Bulk modulus over shear modulus: clay hardly compresses."""
+"""Bulk modulus over shear modulus: clay is nearly incompressible."""
 
 
 @wp.struct
@@ -55,10 +55,10 @@ class PairLaw:
 
 @wp.struct
 class ParticleLaw:
-    """What a particle has from its material alone."""
+    """Values of a particle that depend on its material alone."""
 
     mass: float
-    """[kg]"""
+    """Mass of a particle [kg]."""
     pressure_stiffness: float
     """Bulk modulus times particle volume [J]."""
     shear_modulus: float
@@ -68,15 +68,15 @@ class ParticleLaw:
     consistency: float
     """Viscous stress at a strain rate of 1/s [Pa]."""
     flow_index: float
-    """Power of the strain rate."""
+    """Exponent of the strain rate."""
 
 
 @wp.struct
 class SharedLaw:
-    """What all pairs share, for one length of substep."""
+    """Values that all pairs share, for one length of substep."""
 
     spacing: float
-    """Of particles at rest [m]."""
+    """Particle spacing at rest [m]."""
     time_step: float
     """[s]"""
     kernel_radius: float
@@ -84,21 +84,21 @@ class SharedLaw:
     inverse_rest_sum: float
     """1 over the sum of (1 - r/h)³ at rest."""
     surface_gain: float
-    """What lopsidedness beyond the floor adds to a particle's density."""
+    """Relative density that a particle gains per asymmetry beyond the floor."""
     surface_floor: float
-    """Lopsidedness that particles inside the clay have by chance."""
+    """Asymmetry that particles inside the clay have by chance."""
     form_reach: float
-    """Free pairs closer than this become bonded [m]; 0 where nothing bonds."""
+    """Free pairs closer than this become bonded [m]; 0 if nothing bonds."""
     press_reach: float
     """Free pairs closer than this begin to press on each other [m]."""
     break_length: float
     """Bonds, and free pairs that press, let go beyond this [m]."""
     inverse_fade: float
-    """1 over the length on which bonds fade [1/m]."""
+    """1 over the length over which bonds weaken [1/m]."""
     min_rest_length: float
     """[m]"""
     max_damping: float
-    """Of a pair, over mass [1/s]."""
+    """Largest damping of a pair, over mass [1/s]."""
     dwell: float
     """Substeps a free pair must stay close before it bonds."""
     material_count: int
@@ -118,7 +118,7 @@ def rest_kernel_sum() -> float:
 
 
 def surface_of_lattice() -> tuple[float, float]:
-    """Density missing at a lattice's flat surface, and lopsidedness there."""
+    """Relative density missing at a lattice's flat surface, and the asymmetry there."""
     lattice, value = _lattice()
     below = lattice[:, 2] <= 0
     height = lattice[:, 2] / np.maximum(np.linalg.norm(lattice, axis=1), 1.0)
@@ -129,7 +129,7 @@ def surface_of_lattice() -> tuple[float, float]:
 def make_particle_laws(
     materials: list[Material], settings: Settings, spacing: float
 ) -> list[ParticleLaw]:
-    """The values of particles of each material, at a spacing [m]."""
+    """Values of particles of each material, at a spacing [m]."""
     laws = []
     for material in materials:
         law = ParticleLaw()
@@ -146,8 +146,8 @@ def make_particle_laws(
 def make_pair_laws(materials: list[Material], spacing: float) -> list[PairLaw]:
     """The law of every ordered pair of materials, row by row.
 
-    The weaker of two materials decides how much tension their bond bears; stiffness is the
-    harmonic mean, as of springs in series.
+    The weaker of two materials limits the tension of their bond; the stiffness is the harmonic
+    mean, as for springs in series.
     """
     laws = []
     for one in materials:
@@ -167,7 +167,7 @@ def make_shared_law(
     material_count: int,
     time_step: float,
 ) -> SharedLaw:
-    """What all pairs share, for substeps of ``time_step`` [s]."""
+    """Values that all pairs share, for substeps of ``time_step`` [s]."""
     shared = SharedLaw()
     shared.spacing = spacing
     shared.time_step = time_step

@@ -12,7 +12,7 @@ from .law_data import ParticleLaw, SharedLaw
 
 
 def _plain(statement: str) -> str:
-    """Text of a native function that calls a formula with single numbers."""
+    """Source of a native function that calls a formula with single numbers."""
     return f"{{{NUMBERS}{FORMULAS}{statement}}}"
 
 
@@ -38,27 +38,27 @@ def lets_go(shared: SharedLaw, apart: float) -> bool:  # type: ignore[empty-body
 
 @wp.func_native(_plain("return bond_breaks(apart, rest);"))
 def bond_breaks(shared: SharedLaw, apart: float, rest: float) -> bool:  # type: ignore[empty-body]
-    """Whether a bond breaks, at its present length and rest length [m]."""
+    """Whether a bond breaks, at its current length and rest length [m]."""
 
 
 @wp.func_native(_plain("return kernel_value(apart);"))
 def kernel_value(shared: SharedLaw, apart: float) -> float:  # type: ignore[empty-body]
-    """A neighbor's share of the density, before it is divided by the sum at rest."""
+    """A neighbor's contribution to the density, before division by the sum at rest."""
 
 
 @wp.func_native(_plain("return kernel_slope(apart);"))
 def kernel_slope(shared: SharedLaw, apart: float) -> float:  # type: ignore[empty-body]
-    """How fast a neighbor's share of the density over that at rest falls [1/m], positive."""
+    """How fast a neighbor's contribution to the relative density falls [1/m], positive."""
 
 
 @wp.func_native(_plain("return compression_of(neighbors, lopsided);"))
 def compression_of(  # type: ignore[empty-body]
     shared: SharedLaw, neighbors: float, lopsided: float
 ) -> float:
-    """Density over that at rest, less one, where positive.
+    """Relative excess over the rest density, at least 0.
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         neighbors: Sum of the neighbors' kernel values.
         lopsided: Length of the sum of these times their directions.
     """
@@ -68,12 +68,12 @@ def compression_of(  # type: ignore[empty-body]
 def pressure_tangent(  # type: ignore[empty-body]
     shared: SharedLaw, pressure_stiffness: float
 ) -> float:
-    """Derivative of a pressure by density, times Δt² [kg m²]."""
+    """Derivative of pressure with respect to density, times Δt² [kg m²]."""
 
 
 @wp.func_native(_plain("return bond_hold(rest);"))
 def bond_hold(shared: SharedLaw, rest: float) -> float:  # type: ignore[empty-body]
-    """How much of its stiffness a bond has, by its rest length [m]."""
+    """Fraction of its stiffness that a bond retains at its rest length [m]."""
 
 
 @wp.func_native(_plain("return bond_stretch(hold, rest, apart);"))
@@ -88,8 +88,8 @@ def dilation_of(shared: SharedLaw, trace: float, lengths: float) -> float:  # ty
     """Mean linear strain of a particle's bonds.
 
     Args:
-        shared: What all pairs share.
-        trace: Of the sum of stretch times length times the dyad of the direction [m²].
+        shared: Values that all pairs share.
+        trace: Trace of the sum of stretch times length times the dyad of the direction [m²].
         lengths: Sum of hold times squared rest length [m²].
     """
 
@@ -103,10 +103,10 @@ def dilation_of(shared: SharedLaw, trace: float, lengths: float) -> float:  # ty
 def flow_share(  # type: ignore[empty-body]
     shared: SharedLaw, own: ParticleLaw, stretch: wp.mat33
 ) -> float:
-    """The yield law: fraction of their stretch that a particle's bonds lose in one substep.
+    """The yield law: the fraction of their stretch that a particle's bonds lose in one substep.
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         own: The particle's values.
         stretch: Sum of stretch times length times the dyad of the direction [m²].
     """
@@ -134,11 +134,11 @@ def flow_bond(  # type: ignore[empty-body]
     Softening is the secant stiffness over the elastic one: 1 where nothing flowed.
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         tension_stretch: Total stretch that the bond can carry in tension [m].
         rest: Rest length before [m].
-        apart: Present distance [m].
-        dilation: Mean linear strain of both ends' bonds: a change of volume, which does not yield.
+        apart: Current distance [m].
+        dilation: Mean linear strain of bonds at both ends: a volume change, which does not yield.
         share: Fraction of the stretch that flows, mean of both ends.
         pressed: Whether one of the ends is under pressure.
     """
@@ -148,14 +148,14 @@ def flow_bond(  # type: ignore[empty-body]
 def pair_damping(  # type: ignore[empty-body]
     shared: SharedLaw, own: ParticleLaw, squares: float, parting: float, rates: float
 ) -> float:
-    """A particle's damping of its pairs [N s/m], from its viscosity at the present strain rate.
+    """A particle's damping of its pairs [N s/m], from its viscosity at the current strain rate.
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         own: The particle's values.
         squares: Sum of the pairs' squared lengths [m²].
-        parting: Sum of length times speed of parting [m²/s].
-        rates: Sum of the squared speeds of parting [m²/s²].
+        parting: Sum of length times separation speed [m²/s].
+        rates: Sum of the squared separation speeds [m²/s²].
     """
 
 
@@ -172,13 +172,13 @@ def pair_pull(  # type: ignore[empty-body]
     """Force that pulls the ends of a pair together [N].
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         damping: Damping of the pair [N s/m].
-        parted: How far the ends part in the substep [m].
+        parted: How far the ends separate in the substep [m].
         pressures: Pressure stiffness times compression, sum of both ends [J].
         slope: Slope of the kernel [1/m].
         stiffness: Stiffness of the bond, 0 for a free pair [N/m].
-        stretch: Length less the rest length after flow [m].
+        stretch: Length minus the rest length after flow [m].
     """
 
 
@@ -196,9 +196,9 @@ def tangent_pull(  # type: ignore[empty-body]
     """Response of the tangent to a motion of a pair's ends [kg m/s].
 
     Args:
-        shared: What all pairs share.
+        shared: Values that all pairs share.
         tangent: `pair_tangent` [kg].
-        closing: Speed at which the motion brings the ends together [m/s].
+        closing: Speed at which the ends approach [m/s].
         slope: Slope of the kernel [1/m].
         pressures: Changes of the pressures of both ends [kg m²/s].
     """

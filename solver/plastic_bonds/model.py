@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default clay: bonds that yield by stress, solved for implicitly."""
+"""The default clay model: bonds that yield by stress, solved implicitly."""
 
 import math
 
@@ -37,20 +37,20 @@ from .solve.spin import Spin
 SKIN = 0.6
 """Extra reach of neighbor lists, in spacings."""
 MAX_KEPT_LAWS = 64
-"""Lengths of substep for which the shared law is kept."""
+"""Largest number of substep lengths for which the shared law is kept."""
 ITERATIONS_PER_REACH = 0.55
-"""Iterations of the last Newton step for each spacing that motion is carried in a substep."""
+"""Iterations of the last Newton step per spacing that motion travels in a substep."""
 MIN_ITERATIONS = 6
 MAX_ITERATIONS = 40
 
 
 @wp.kernel(enable_backward=False)
-def stand_still(
+def stop_particles(
     resting: wp.array[int],
     velocity: wp.array[wp.vec3],
     direction: wp.array[wp.vec4],
 ) -> None:
-    """Stop particles, so that they do nothing in the passes of their awake neighbors."""
+    """Stop particles, so that they contribute nothing to the passes of their awake neighbors."""
     i = resting[wp.tid()]
     velocity[i] = wp.vec3()
     direction[i] = wp.vec4()
@@ -59,18 +59,17 @@ def stand_still(
 class PlasticBonds:
     """Bonds between neighbors that stretch, yield and flow, and a pressure that keeps the volume.
 
-    In place of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021),
-    each substep solves for all velocities at once, by two Newton steps of conjugate gradients (one
-    is not enough: friction and yield follow from what the first finds; more change little)
-    (Baraff and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998,
-    doi 10.1145/280814.280821): then clay carries its real stiffness, and weight, support and
-    whole-body motion are exact.
+    Instead of the local projections of algorithm 1 of Barreiro, Torres and Otaduy (WHC 2021), each
+    substep solves for all velocities at once, by two Newton steps of conjugate gradients (Baraff
+    and Witkin, *Large Steps in Cloth Simulation*, SIGGRAPH 1998, doi 10.1145/280814.280821). One
+    step is not enough, since friction and yield follow from what it finds; more change little. So
+    clay has its real stiffness, and weight, support and whole-body motion are exact.
 
     Args:
-        scene: What the clay is made of.
+        scene: The materials of the clay.
         particles: The clay.
-        contacts: Its contacts with colliders.
-        settings: How finely to work.
+        contacts: The clay's contacts with colliders.
+        settings: Resolution in time, and which parts of the model to use.
     """
 
     def __init__(
@@ -86,16 +85,16 @@ class PlasticBonds:
         masses = np.array([m.density * spacing**3 for m in self._materials])
         own = masses[particles.material.numpy()][:, None, None] * np.eye(3) if count else []
         self.own_block = wp.array(own, dtype=wp.mat33, device=device)
-        """Mass and contacts of each particle [kg]."""
+        """Mass and contact stiffness of each particle [kg]."""
         self.particle_laws = wp.array(
             make_particle_laws(self._materials, settings, spacing),
             dtype=ParticleLaw,
             device=device,
         )
         self.pairs = Pairs(particles)
-        # Bonds stay listed however long they are; the search need only find pairs that come close.
+        # Bonds stay listed at any length; the search need only find pairs that come close.
         self.neighbors = Neighbors(particles, self.pairs, PRESS_REACH * spacing, SKIN * spacing)
-        # One more than needed: rounding may make a substep slightly too long.
+        # One extra: rounding may make a substep slightly longer.
         max_iterations = self._iterations(BASE_STEP / settings.substeps)[-1] + 1
         self.gradients = ConjugateGradients(particles, max_iterations)
         self.coarse = CoarseSpace(particles)
@@ -114,7 +113,7 @@ class PlasticBonds:
     can_sleep = True
 
     def rest(self, resting: NDArray[np.int64], time_step: float) -> None:
-        """Stop particles that fall asleep: to the others they are a wall."""
+        """Stop particles that fall asleep; to the others they become a wall."""
         index = wp.array(resting, dtype=int, device=self.device)
         self.contacts.rest(index, time_step)
         inputs = [
@@ -122,12 +121,12 @@ class PlasticBonds:
             self.particles.velocity,
             self.gradients.data.direction,
         ]
-        wp.launch(stand_still, dim=len(resting), inputs=inputs, device=self.device)
+        wp.launch(stop_particles, dim=len(resting), inputs=inputs, device=self.device)
         self.coarse.release(resting)
 
-    def unheld(self, regions: Regions) -> NDArray[np.bool_]:
-        """Which regions sleep but are no longer held, shape [R]."""
-        return self._balance.unheld(
+    def unsupported(self, regions: Regions) -> NDArray[np.bool_]:
+        """Whether each region is asleep but has lost its support, shape [R]."""
+        return self._balance.unsupported(
             regions,
             self.shared_law,
             self.pair_laws,
@@ -137,27 +136,27 @@ class PlasticBonds:
         )
 
     def wake(self, woken: NDArray[np.int64]) -> None:
-        """Prepare particles that are about to wake; they still count as resting."""
+        """Prepare particles for waking while they still count as resting."""
         index = wp.array(woken, dtype=int, device=self.device)
         self.contacts.wake(index)
         self.neighbors.match(index)
 
     def woken(self) -> None:
-        """Find the neighbors of particles that have woken, and lay new coarse cells."""
+        """Find the neighbors of particles that have woken, and have new coarse cells laid out."""
         self.neighbors.rebuild()
         self.coarse.release(np.zeros(0, int))
 
     def begin_step(self) -> None:
-        """Lay the coarse cells over the clay, and measure how they turn."""
+        """Lay out the coarse cells over the clay, and measure their spin."""
         self.coarse.place_cells(self.neighbors.rebuild_count)
         self.spin.measure()
 
     def run_substep(self, substep: ContactPass) -> None:
-        """Gather pairs and contacts, solve for velocities, let bonds flow, move."""
+        """Gather pairs and contacts, solve for velocities, let bonds flow, and move particles."""
         self.neighbors.rebuild_if_moved()
         self._prepare_law(substep.time_step)
         turns = self.spin.prepare(substep.time_step)
-        # Generations, not addresses: a new array may have the address of an old one.
+        # Generations rather than addresses: a new array may have the address of an old one.
         key = (
             substep.time_step,
             substep.time_step_before,
@@ -166,16 +165,16 @@ class PlasticBonds:
             self.particles.threads,
             self.contacts.generation,
         )
-        self._recordings.run((*key, turns, "open"), lambda: self._open(substep, turns))
+        self._recordings.run((*key, turns, "prepare"), lambda: self._prepare_solve(substep, turns))
         self.coarse.invert()
-        self._recordings.run((*key, "close"), lambda: self._close(substep))
+        self._recordings.run((*key, "finish"), lambda: self._finish_substep(substep))
 
     def _iterations(self, time_step: float) -> tuple[int, int]:
         """Iterations in each Newton step, for substeps of ``time_step`` [s].
 
-        They grow with how far shear waves and viscosity carry motion in that time; beyond the size
-        of a coarse cell, the coarse space carries it. Shorter substeps need no more. The first step
-        only finds where clay yields and slides: a third as many iterations suffice (measured).
+        They grow with the distance that shear waves and viscosity carry motion in that time; beyond
+        the size of a coarse cell, the coarse space carries it. The first step only finds where clay
+        yields and slides: a third as many iterations suffice (measured).
         """
         last = self.settings.iterations
         if last is None:
@@ -185,7 +184,7 @@ class PlasticBonds:
         return -(-last // 3), last
 
     def _prepare_law(self, time_step: float) -> None:
-        """Choose the shared law of a substep; recordings refer to those made before."""
+        """Select the shared law of a substep; recordings refer to earlier ones."""
         if time_step not in self._shared_laws:
             if len(self._shared_laws) >= MAX_KEPT_LAWS:
                 self._shared_laws.clear()
@@ -196,8 +195,8 @@ class PlasticBonds:
             )
         self.shared_law = self._shared_laws[time_step]
 
-    def _open(self, substep: ContactPass, turns: bool) -> None:
-        """Do everything up to the coarse matrix; ``turns`` says whether anything spins."""
+    def _prepare_solve(self, substep: ContactPass, turns: bool) -> None:
+        """Do everything up to the coarse matrix; ``turns`` tells whether anything spins."""
         particles = self.particles
         particles.fall_freely(substep.time_step, substep.time_step_before)
         self.contacts.find(substep)
@@ -208,8 +207,8 @@ class PlasticBonds:
         self._linearize(substep)
         self.coarse.assemble(self.own_block, self.pairs)
 
-    def _close(self, substep: ContactPass) -> None:
-        """Solve by Newton's method, and apply the velocities it finds."""
+    def _finish_substep(self, substep: ContactPass) -> None:
+        """Solve by Newton's method, apply the velocities, and let bonds flow."""
         for newton, iterations in enumerate(self._iterations(substep.time_step)):
             if newton > 0:
                 self.pairs.measure(self.shared_law, self.particle_laws)
@@ -229,7 +228,7 @@ class PlasticBonds:
         self.neighbors.measure()
 
     def _linearize(self, substep: ContactPass) -> None:
-        """Find residual and tangent of pairs and contacts at the present velocities."""
+        """Find residual and tangent of pairs and contacts at the current velocities."""
         residual = self.gradients.residual
         self.pairs.sum_forces(
             self.shared_law, self.pair_laws, self.particle_laws, residual, self.diagonal
@@ -237,12 +236,12 @@ class PlasticBonds:
         self.contacts.press(substep, self.gradients.change, residual, self.diagonal, self.own_block)
 
     def compression(self) -> NDArray[np.float32]:
-        """Each particle's density over that at rest, less one, where positive; shape [N]."""
+        """Relative excess of each particle's density over the rest density, at least 0; [N]."""
         return self.pairs.rows.condition.numpy()[:, COMPRESSION]
 
     @property
     def overflow(self) -> int:
-        """Neighbors that found no room, since the start."""
+        """Number of neighbors dropped for lack of room since the start."""
         return self.neighbors.overflow
 
     def passes(self) -> list[str]:
@@ -262,7 +261,7 @@ class PlasticBonds:
         self.pairs.rows.condition.assign(state["condition"])
         self.neighbors.restore(state)
         self.coarse.restore(state)
-        # Sleeping particles must do nothing in any pass.
+        # Sleeping particles must contribute nothing to any pass.
         self.gradients.data.direction.zero_()
 
 

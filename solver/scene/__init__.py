@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a simulation, what clay is made of, and how finely it is solved."""
+"""The contents of a simulation, the materials of clay, and the settings of the solver."""

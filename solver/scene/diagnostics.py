@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass
 
 @dataclass(frozen=True)
 class Diagnostics:
-    """Figures of the last step, and counts since the start."""
+    """Measurements of the last step, and counts since the start."""
 
     time: float
     """Simulated time [s]."""
     particle_count: int
     """Number of clay particles."""
     awake: int
-    """Particles that the last step moved."""
+    """Number of awake particles, which the last step moved."""
     substeps: int
     """Substeps of the last step."""
     volume_error: float
@@ -25,14 +25,14 @@ class Diagnostics:
     max_speed: float
     """Speed of the fastest particle [m/s]."""
     clamped: int
-    """Number of velocity changes that were too large for one pass and were limited."""
+    """Number of times a particle was slowed to the speed limit."""
     overflow: int
-    """Number of neighbors that found no free slot."""
+    """Number of neighbors dropped for lack of a free slot."""
     quarantined: int
     """Number of times a particle was held in place because its new state was not finite."""
     teleported: int
     """Number of times a collider jumped because it moved too far to be swept."""
 
     def as_dict(self) -> dict[str, float | int]:
-        """The same, for JSON."""
+        """All values as a dictionary, for JSON."""
         return asdict(self)

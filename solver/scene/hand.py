@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A hand in a scene: where its bones go, and what it is made of."""
+"""A hand in a scene: its bones' poses and the material of its flesh."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ POISSON_RATIO = 0.45
 """Poisson's ratio of flesh. Real flesh is nearly incompressible, which linear tetrahedra cannot
 be."""
 MAX_DISTANCE = 1.0e4
-"""From a bone to the origin along each axis [m]; farther is taken for a mistake in units."""
+"""Largest coordinate of a bone [m]; more is treated as a mistake in units."""
 MAX_STRETCH = 4.0
-"""How many times longer or shorter than at rest a bone may become."""
+"""Largest factor by which a bone may be longer or shorter than at rest."""
 
 
 @dataclass(frozen=True)
 class HandContacts:
-    """What the ghosts on a hand's skin feel, mean over the last step."""
+    """Contact forces on the ghosts of a hand's skin, averaged over the last step."""
 
     positions: NDArray[np.float64]
-    """Where the ghosts are [m], shape [G, 3]."""
+    """Positions of the ghosts [m], shape [G, 3]."""
     normals: NDArray[np.float64]
     """Outward unit normals of the skin there, shape [G, 3]."""
     areas: NDArray[np.float64]
-    """Area of skin at rest that each stands for [m²], shape [G]; they add up to the hand's."""
+    """Area of skin at rest that each represents [m²], shape [G]; they add up to the hand's."""
     forces: NDArray[np.float64]
     """Force of the clay on each [N], shape [G, 3]; they add up to the force on the hand."""
 
 
 class Hand:
-    """A hand with soft flesh on bones that are moved from outside.
+    """A hand with soft flesh on bones that the caller moves.
 
-    Made by `Scene.add_hand`. Bones set between two steps arrive at the end of the next step, and
-    move evenly on the way.
+    Made by `Scene.add_hand`. Bones set between two steps move evenly, and arrive at the end of the
+    next step.
     """
 
     def __init__(
@@ -64,12 +64,12 @@ class Hand:
 
     @property
     def bones(self) -> NDArray[np.float64]:
-        """World from each bone's own coordinates, as last set, shape [B, 4, 4]."""
+        """Last set transforms from each bone's coordinates to the world, shape [B, 4, 4]."""
         return self._bones
 
     @property
     def tracked(self) -> bool:
-        """Whether it is known where the hand is."""
+        """Whether the hand is tracked; see `set_tracked`."""
         return self._tracked
 
     @property
@@ -81,13 +81,13 @@ class Hand:
         """Move bones to poses by the end of the next step.
 
         Args:
-            bones: World from each bone's own coordinates [m]: all bones in the order of
-                `bone_names`, shape [B, 4, 4], or those that move, by name, shape [4, 4] each.
+            bones: Transforms from bone coordinates to the world [m]: of all bones in the order of
+                `bone_names`, shape [B, 4, 4], or of those that move, by name, shape [4, 4] each.
 
         Raises:
-            ValueError: A bone that the rig does not have, another number of bones, or a matrix that
-                is not 4x4, not finite, not affine, mirrored, or stretched beyond reason. The hand
-                keeps its last good pose, of all bones.
+            ValueError: The rig has no bone of that name, the number of bones is wrong, or a matrix
+                is not 4x4, not finite, not affine, mirrored, or stretched beyond reason. All bones
+                keep their last good pose.
         """
         if isinstance(bones, Mapping):
             rows, poses = self._named(bones)
@@ -96,7 +96,7 @@ class Hand:
             if poses.shape != self._bones.shape:
                 raise ValueError(
                     f"The poses of the bones have shape {poses.shape}; the hand has "
-                    f"{len(self._bones)} bones, so it must be {self._bones.shape}."
+                    f"{len(self._bones)} bones, so the shape must be {self._bones.shape}."
                 )
         if not len(poses):
             return
@@ -107,7 +107,7 @@ class Hand:
         self._bones = changed
 
     def _named(self, bones: Mapping[str, ArrayLike]) -> tuple[list[int], NDArray[np.float64]]:
-        """Rows and poses of bones given by name, shape [n] and [n, 4, 4]."""
+        """Indices and poses of bones given by name, shape [n] and [n, 4, 4]."""
         rows, poses = [], np.empty((len(bones), 4, 4))
         for number, (name, pose) in enumerate(bones.items()):
             if name not in self._index:
@@ -145,23 +145,23 @@ class Hand:
         if not upright.all():
             name = names[int(np.argmin(upright))]
             raise ValueError(
-                f"The pose of bone {name!r} is mirrored against its rest pose or flat; bind a hand "
-                f"of the other side, or give every axis a scale above zero. {kept}"
+                f"The pose of bone {name!r} is mirrored relative to its rest pose, or flat; bind a "
+                f"hand of the other side, or give every axis a scale above zero. {kept}"
             )
         scales = np.linalg.svd(turns, compute_uv=False)
         within = (scales < MAX_STRETCH).all(1) & (scales > 1.0 / MAX_STRETCH).all(1)
         if not within.all():
             name = names[int(np.argmin(within))]
             raise ValueError(
-                f"The pose of bone {name!r} stretches it more than {MAX_STRETCH:g} times against "
-                f"its rest pose; bind the hand again at its new size. {kept}"
+                f"The pose of bone {name!r} stretches or shrinks it over {MAX_STRETCH:g} times "
+                f"relative to its rest pose; bind the hand again at its new size. {kept}"
             )
 
     def set_tracked(self, tracked: bool) -> None:
-        """Say whether it is known where the hand is.
+        """Set whether the hand's position is known.
 
         A hand that is not tracked stays where it was and touches nothing. When tracking returns,
-        the hand is at its bones' poses at once and takes hold of the clay gradually: clay inside it
-        is moved out gently, and what moves it out is not reported as force.
+        the hand jumps to its bones' poses and grips the clay gradually: clay inside it is moved out
+        gently, which is not reported as force.
         """
         self._tracked = bool(tracked)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a clay is made of, in SI units, and the presets that ship with the project."""
+"""Materials of clay in SI units, and the presets that ship with the project."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from typing import Any
 from ..core.preset_files import check_keys, preset_names, preset_path, read_tables
 
 PRESET_FOLDER = Path(__file__).resolve().parents[2] / "presets" / "materials"
-"""Where the materials are that ship with the project."""
+"""Folder of the presets that ship with the project."""
 
 
 @dataclass(frozen=True)
 class MaterialField:
-    """One value of a `Material`: all that interfaces, files and checks need to know of it."""
+    """One value of a `Material`, as interfaces, files and checks need to know it."""
 
     name: str
-    """Of the attribute, and of the key in a file."""
+    """Name of the attribute, and key in files."""
     label: str
-    """For people, without its unit."""
+    """Name shown to users, without unit."""
     unit: str
     """SI unit; empty for a pure number."""
     description: str
-    """One line for people."""
+    """Tooltip, one line."""
     default: float | None
-    """None for a value that follows another where it is not given."""
+    """Default value; None if the value follows from another when not given."""
     minimum: float
-    """Least value that interfaces offer and files of materials may hold."""
+    """Smallest value in interfaces and in files of materials."""
     soft_maximum: float
-    """Where sliders end; larger values can be typed."""
+    """Upper end of sliders; larger values can be typed."""
     positive: bool
-    """Whether zero is no possible value."""
+    """Whether the value must be greater than zero."""
 
     @property
     def is_optional(self) -> bool:
-        """Whether it may be left out."""
+        """Whether the value may be omitted."""
         return self.default is None
 
     @property
     def label_with_unit(self) -> str:
-        """For people, such as ``Viscosity (Pa·s)``."""
+        """Name shown to users with unit, such as ``Viscosity (Pa·s)``."""
         return f"{self.label} ({self.unit})" if self.unit else self.label
 
 
@@ -56,7 +56,7 @@ def _value(
     soft_maximum: float,
     positive: bool = False,
 ) -> Any:
-    """A field of `Material` with what `MATERIAL_FIELDS` says of it."""
+    """A field of `Material` with its metadata for `MATERIAL_FIELDS`."""
     about = {
         "default": default,
         "label": label,
@@ -73,7 +73,7 @@ def _value(
 class Material:
     """An elastoplastic, viscous, frictional clay.
 
-    How far the solver carries these values is said in the *Limitations* of `Solver`.
+    The *Limitations* of `Solver` tell how accurately these values are reproduced.
 
     Raises:
         ValueError: A value is not finite or lies outside its range; the message names it.
@@ -83,7 +83,7 @@ class Material:
         1700.0,
         "Density",
         "kg/m³",
-        "Mass of a cubic meter at rest",
+        "Mass per cubic meter at rest",
         minimum=1.0,
         soft_maximum=1e4,
         positive=True,
@@ -97,21 +97,21 @@ class Material:
         200.0,
         "Viscosity",
         "Pa·s",
-        "Resistance to flow beyond the yield stress; its consistency if the flow index is not 1",
+        "Resistance to flow beyond the yield stress; the consistency if the flow index is not 1",
         soft_maximum=5e3,
     )
-    """Resistance to flow beyond the yield stress [Pa·s], or with a flow index n its consistency
+    """Resistance to flow beyond the yield stress [Pa·s], or with a flow index n the consistency
     [Pa·sⁿ]: the shear stress of flowing clay is τ_y + K γ̇ⁿ (Herschel and Bulkley 1926)."""
     flow_index: float = _value(
         1.0,
         "Flow Index",
         "",
-        "Power of the strain rate: 1 for a Bingham material, below 1 where flow thins it",
+        "Exponent of the strain rate: 1 for a Bingham material, below 1 for shear thinning",
         minimum=0.1,
         soft_maximum=1.0,
         positive=True,
     )
-    """Power n of the strain rate: 1 for a Bingham material, below 1 where flow thins it."""
+    """Exponent n of the strain rate: 1 for a Bingham material, below 1 for shear thinning."""
     shear_modulus: float = _value(
         2.5e5,
         "Shear Modulus",
@@ -127,19 +127,19 @@ class Material:
         0.5,
         "Friction",
         "",
-        "Coulomb friction coefficient; a contact takes the geometric mean of both",
+        "Coulomb friction coefficient; contacts use the geometric mean of clay and collider",
         soft_maximum=1.0,
     )
-    """Coulomb friction coefficient; a contact takes the geometric mean of clay and collider."""
+    """Coulomb friction coefficient; contacts use the geometric mean of clay and collider."""
     cohesion: float | None = _value(
         None,
         "Cohesion",
         "Pa",
-        "Tension at which the clay draws out and parts; off, as much as the yield stress",
+        "Tension at which the clay draws out and tears; if off, equal to the yield stress",
         soft_maximum=1e5,
     )
-    """Tension [Pa] at which bonds give way and draw out; the yield stress where not given,
-    0 for a material that falls apart like sand."""
+    """Tension [Pa] at which bonds yield and draw out; by default the yield stress, 0 for a material
+    that falls apart like sand."""
 
     def __post_init__(self) -> None:
         for each in MATERIAL_FIELDS:
@@ -165,7 +165,7 @@ class Material:
         """Read a material that ships with the project (``presets/materials/*.toml``).
 
         Raises:
-            ValueError: No such preset, or its file is damaged; the message says which are there.
+            ValueError: There is no such preset (the message lists all), or its file is damaged.
         """
         return cls.from_toml(preset_path(PRESET_FOLDER, name, "material"))
 
@@ -174,7 +174,7 @@ class Material:
         """Read a material from a TOML file with a ``[material]`` table.
 
         Raises:
-            ValueError: The file is not valid TOML, or a key is unknown or has no number.
+            ValueError: The file is not valid TOML, or a key is unknown or its value invalid.
             OSError: The file cannot be read.
         """
         table = read_tables(path, "material")["material"]
@@ -194,4 +194,4 @@ class Material:
 
 
 MATERIAL_FIELDS = tuple(MaterialField(name=each.name, **each.metadata) for each in fields(Material))
-"""The values of a material, in the order in which people see them."""
+"""The values of a material, in the order shown to users."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is in a simulation: clay, planes, moving closed meshes and hands, for a `Solver`."""
+"""The contents of a simulation: clay, planes, moving closed meshes and hands."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class ClayBody:
     count: int
     """Number of its particles."""
     material: Material
-    """What it is made of."""
+    """Its material."""
 
 
 @dataclass(frozen=True)
 class Plane:
-    """An endless, unmoving plane; clay stays on the side its normal points to."""
+    """An infinite static plane; clay stays on the side to which its normal points."""
 
     point: NDArray[np.float64]
     """A point on it [m], shape [3]."""
@@ -42,14 +42,14 @@ class Plane:
     friction: float
     """Coulomb friction coefficient."""
     adhesion: float = 0.0
-    """Stress at which clay that sticks to it comes off [Pa]."""
+    """Stress at which clay that sticks to it detaches [Pa]."""
 
 
 class MeshCollider:
-    """A closed mesh that clay cannot enter. It may move, turn, scale and change its shape.
+    """A closed mesh that clay cannot enter. It may move, rotate, scale and deform.
 
-    Made by `Scene.add_mesh`. What is set between two steps is reached at the end of the next
-    step, evenly in between.
+    Made by `Scene.add_mesh`. Poses and vertices set between two steps are approached evenly, and
+    reached at the end of the next step.
     """
 
     def __init__(
@@ -69,25 +69,25 @@ class MeshCollider:
 
     @property
     def vertices(self) -> NDArray[np.float64]:
-        """Vertices in the collider's own coordinates [m], shape [V, 3]."""
+        """Vertices in local coordinates [m], shape [V, 3]."""
         return self._vertices
 
     @property
     def pose(self) -> NDArray[np.float64]:
-        """World from own coordinates, shape [4, 4]."""
+        """Transform from local coordinates to the world, shape [4, 4]."""
         return self._pose
 
     @property
     def enabled(self) -> bool:
-        """Whether the clay meets it."""
+        """Whether clay collides with it."""
         return self._enabled
 
     def set_enabled(self, enabled: bool) -> None:
-        """Say whether the clay meets it from the next step on.
+        """Set whether clay collides with it from the next step on.
 
-        A collider that is not enabled may be moved anywhere, through clay, too: it costs nothing
-        and meets nothing. When it is enabled again it is at its pose at once, without sweeping the
-        way there, and clay inside it is moved out gently.
+        A disabled collider may be moved anywhere, even through clay, and costs nothing. When it is
+        enabled again, it appears at its pose without sweeping there, and clay inside it is moved
+        out gently.
         """
         self._enabled = bool(enabled)
 
@@ -95,8 +95,8 @@ class MeshCollider:
         """Move to a pose by the end of the next step.
 
         Args:
-            pose: World from own coordinates, shape [4, 4]; rotation, translation [m], and any
-                scale or mirroring.
+            pose: Transform from local coordinates to the world, shape [4, 4]: rotation, translation
+                [m], and any scale or mirroring.
 
         Raises:
             ValueError: The matrix is not finite, not 4×4, not affine, or flattens the mesh. The
@@ -120,11 +120,11 @@ class MeshCollider:
         """Deform to new vertices by the end of the next step.
 
         Args:
-            vertices: Vertices in own coordinates [m], shape [V, 3], in the order given to
+            vertices: Vertices in local coordinates [m], shape [V, 3], in the order given to
                 `Scene.add_mesh`.
 
         Raises:
-            ValueError: Wrong shape or values that are not finite. The last good ones stay.
+            ValueError: The shape is wrong, or values are not finite. The last good ones are kept.
         """
         points = np.asarray(vertices, np.float64)
         if points.shape != self._vertices.shape:
@@ -133,13 +133,13 @@ class MeshCollider:
                 f"{points.shape}. The number of vertices must not change."
             )
         if not np.isfinite(points).all():
-            raise ValueError("Vertices are not finite; the last good ones are kept.")
+            raise ValueError("Some vertices are not finite; the last good ones are kept.")
         self._vertices = points.copy()
         self.shape_version += 1
 
 
 class Scene:
-    """Clay and what it meets. SI units, Z up, right-handed.
+    """Clay and the colliders around it. SI units, Z up, right-handed.
 
     Example::
 
@@ -151,8 +151,8 @@ class Scene:
         solver.step(1 / 60)
 
     Args:
-        spacing: Distance of neighboring particles at rest [m].
-        gravity: Acceleration of free fall [m/s²], shape [3].
+        spacing: Distance between neighboring particles at rest [m].
+        gravity: Gravitational acceleration [m/s²], shape [3].
 
     Raises:
         ValueError: A value is not finite, or the spacing is not positive.
@@ -187,16 +187,16 @@ class Scene:
         colors: ArrayLike | None = None,
         velocities: ArrayLike | None = None,
     ) -> ClayBody:
-        """Add particles; those that lie close together stick from the start.
+        """Add particles; those close together are bonded from the start.
 
         Args:
             points: Positions [m], shape [N, 3], about one spacing apart.
-            material: What they are made of.
-            colors: Linear RGBA in 0..1, shape [N, 4] or [4]; terracotta where not given.
-            velocities: Initial velocities [m/s], shape [N, 3] or [3]; at rest where not given.
+            material: Their material.
+            colors: Linear RGBA in 0..1, shape [N, 4] or [4]; terracotta by default.
+            velocities: Initial velocities [m/s], shape [N, 3] or [3]; zero by default.
 
         Raises:
-            ValueError: Wrong shape, or values that are not finite; the message says how many.
+            ValueError: A shape is wrong, or values are not finite; the message says how many.
         """
         positions = np.asarray(points, np.float32)
         if positions.size == 0:
@@ -206,7 +206,7 @@ class Scene:
         count = len(positions)
         bad = int((~np.isfinite(positions).all(1)).sum())
         if bad:
-            raise ValueError(f"{bad} of {count} clay points are not finite; leave them out.")
+            raise ValueError(f"{bad} of {count} clay points are not finite; remove them.")
         body = ClayBody(self.particle_count, count, material)
         chosen = DEFAULT_COLOR if colors is None else colors
         self._colors.append(_rows(chosen, count, 4, "colors"))
@@ -231,13 +231,13 @@ class Scene:
         Args:
             vertices: Corner positions [m], shape [V, 3].
             faces: Triangles, shape [F, 3].
-            material: What it is made of.
-            color: Linear RGBA in 0..1, shape [4].
-            velocity: Initial velocity [m/s], shape [3].
+            material: Material of the clay.
+            color: Linear RGBA in 0..1, shape [4]; terracotta by default.
+            velocity: Initial velocity [m/s], shape [3]; zero by default.
 
         Raises:
-            MeshError: The mesh is open (the message names the number of holes), encloses no
-                volume, is too small for the spacing, or has coordinates that are not finite.
+            MeshError: The mesh is open (the message tells the number of holes), encloses no volume,
+                does not suit the spacing, or has coordinates that are not finite.
         """
         points = fill_mesh(vertices, faces, self.spacing)
         return self.add_clay(points, material, colors=color, velocities=velocity)
@@ -250,14 +250,14 @@ class Scene:
         friction: float = 0.5,
         adhesion: float = 0.0,
     ) -> Plane:
-        """Add an endless plane, such as a table.
+        """Add an infinite plane, such as a table.
 
         Args:
             point: A point on it [m], shape [3].
-            normal: Direction of its free side, shape [3], of any length.
+            normal: Direction towards its free side, shape [3], of any length.
             friction: Coulomb friction coefficient.
-            adhesion: Stress at which clay that has touched it comes off [Pa]; the model "paper"
-                knows none.
+            adhesion: Stress at which clay that has touched it detaches [Pa]; ignored by the model
+                "paper".
 
         Raises:
             ValueError: A value is not finite, the normal is zero, or friction or adhesion is
@@ -287,11 +287,11 @@ class Scene:
         """Add a closed mesh that clay cannot enter; see `MeshCollider` for how it moves.
 
         Args:
-            vertices: Corner positions in its own coordinates [m], shape [V, 3].
+            vertices: Corner positions in local coordinates [m], shape [V, 3].
             faces: Triangles, shape [F, 3].
             friction: Coulomb friction coefficient.
-            adhesion: Stress at which clay that has touched it comes off [Pa]; the model "paper"
-                knows none.
+            adhesion: Stress at which clay that has touched it detaches [Pa]; ignored by the model
+                "paper".
 
         Raises:
             MeshError: The mesh is open, flat or has coordinates that are not finite.
@@ -299,7 +299,7 @@ class Scene:
         """
         points = np.asarray(vertices, np.float64)
         triangles = np.asarray(faces, np.int32)
-        # Its vertices stay as they are given, so that all of them can be moved.
+        # All vertices are kept as given, so that `set_vertices` can move them.
         closed = closed_mesh(points, triangles, name="The collider")
         triangles = triangles[closed.sources]
         triangles[closed.turned] = triangles[closed.turned][:, ::-1]
@@ -324,13 +324,12 @@ class Scene:
         """Add a hand; see `Hand` for how it moves.
 
         Args:
-            rig: The hand as it was bound.
+            rig: The bound hand.
             friction: Coulomb friction coefficient.
-            young_modulus: Of its flesh [Pa].
-            poisson_ratio: Of its flesh, 0 to below 0.49.
+            young_modulus: Young's modulus of the flesh [Pa].
+            poisson_ratio: Poisson's ratio of the flesh, from 0 to below 0.49.
             hold_stiffness: How stiffly it holds its pose against the clay: force on a fingertip
-                over how far that gives way [N/m]. Where not given, bones are exactly where they
-                are set to be, whatever the clay does.
+                over its displacement [N/m]. By default, bones follow their set poses exactly.
 
         Raises:
             ValueError: A value is not finite or out of its range.
@@ -341,7 +340,7 @@ class Scene:
             )
         if not 0.0 <= poisson_ratio < 0.49:
             raise ValueError(
-                f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must lie in 0 to below 0.49."
+                f"The flesh's Poisson's ratio is {poisson_ratio!r}; it must be 0 to below 0.49."
             )
         if hold_stiffness is not None and not (np.isfinite(hold_stiffness) and hold_stiffness > 0):
             raise ValueError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How finely the solver works, and which parts of the model it uses."""
+"""Settings of the solver: resolution, and which parts of the model it uses."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ BASE_STEP = 1.0 / 60.0
 MODELS = ("plastic_bonds", "paper")
 """Clay models: the default, and the paper's as printed."""
 DEFAULT_SUBSTEPS = {"plastic_bonds": 4, "paper": 8}
-"""Substeps that clay needs to look and feel right live. The stiffness of the paper's distance
-constraints depends on substeps and iterations: with fewer, a block of 4 cm sags under its
+"""Substeps that clay needs to look and feel right in live use. The stiffness of the paper's
+distance constraints depends on substeps and iterations: with fewer, a block of 4 cm sags under its
 weight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Quality and parts of the model; without arguments, the live setting.
+    """Resolution and parts of the model; the defaults are the live setting.
 
     Raises:
-        ValueError: A value is out of range; the message names it and what is allowed.
+        ValueError: A value is out of range; the message names it and the range.
     """
 
     substeps: int = cast(int, None)
-    """Substeps in each 1/60 s; longer steps, fast tools and fast clay get more. By default those of
+    """Substeps per 1/60 s; longer steps, fast tools and fast clay get more. By default those of
     `DEFAULT_SUBSTEPS`."""
     iterations: int | None = None
     """Conjugate-gradient iterations in the second of a substep's two Newton steps, with a third as
@@ -34,11 +34,11 @@ class Settings:
     model: str = "plastic_bonds"
     """The clay model, one of `MODELS`."""
     viscosity: bool = True
-    """Resist flow with the material's viscosity; off, for ablation."""
+    """Resist flow with the material's viscosity; turned off for ablation."""
     elastoplasticity: bool = True
-    """Hold the shape by bonds that yield; off, the clay is a fluid."""
+    """Hold the shape by bonds that yield; if off, the clay is a fluid."""
     friction: bool = True
-    """Coulomb friction on colliders; off, everything slides."""
+    """Coulomb friction on colliders; if off, everything slides."""
     sleeping: bool = True
     """Let clay that has come to rest sleep until something disturbs it."""
 
@@ -50,9 +50,11 @@ class Settings:
         if self.substeps is None:
             object.__setattr__(self, "substeps", DEFAULT_SUBSTEPS[self.model])
         if not 1 <= self.substeps <= 4096:
-            raise ValueError(f"Settings.substeps is {self.substeps}; it must lie in 1 to 4096.")
+            raise ValueError(f"Settings.substeps is {self.substeps}; it must be from 1 to 4096.")
         if self.iterations is not None and not 1 <= self.iterations <= 1000:
-            raise ValueError(f"Settings.iterations is {self.iterations}; it must lie in 1 to 1000.")
+            raise ValueError(
+                f"Settings.iterations is {self.iterations}; it must be from 1 to 1000."
+            )
 
 
 QUALITIES = {

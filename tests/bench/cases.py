@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scenes that are timed: clay in contact with a tool that moves, at several sizes.
+"""The benchmark scenes: clay in contact with a moving tool, at several sizes.
 
-A case is warmed up, then timed frame by frame, and says at the end how wrong it was.
+A case is warmed up, then timed frame by frame, and reports its error at the end.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ SPACING = 0.005
 GRAVITY = 9.81
 FRAME = 1.0 / 60.0
 RADIUS = 0.012
-"""Of the ball that presses [m]."""
+"""Radius of the pressing ball [m]."""
 
 
 @dataclass(frozen=True)
 class Error:
-    """How wrong a case was."""
+    """The error of a case."""
 
     figure: str
-    """What is looked at."""
+    """Name of the measured quantity."""
     measured: float
-    """What came out."""
+    """Measured value."""
     expected: tuple[float, float]
-    """Band that it should lie in."""
+    """Range in which it should lie."""
 
     @property
     def error(self) -> float:
-        """Distance from the band over its middle; over 1 where that is 0."""
+        """Distance from the range, relative to its middle; absolute if that is 0."""
         low, high = self.expected
         return max(low - self.measured, self.measured - high, 0.0) / (0.5 * (low + high) or 1.0)
 
@@ -50,37 +50,37 @@ class Run:
     solver: Solver
     """Its solver."""
     drive: Callable[[int], None]
-    """Move the tools to where they are at the end of a frame; the first is number 0."""
+    """Move the tools to their poses at the end of a frame, counted from 0."""
     frames: int
-    """Frames that are timed."""
+    """Number of timed frames."""
     judge: Callable[[], Error]
-    """Tell the error, after all frames."""
+    """Return the error after all frames."""
     after: Callable[[int], None] = lambda frame: None
-    """Take notes after a frame, untimed."""
+    """Take measurements after a frame, untimed."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A scene of a size."""
+    """A scene at one size."""
 
     name: str
-    """What it is called on the command line."""
+    """Name on the command line."""
     scene: str
     """What happens in it."""
     make: Callable[[Settings, str], Run]
-    """Build it and warm it up, for settings and a device."""
+    """Build and warm it up with given settings and device."""
     goal: float = math.nan
-    """Milliseconds a frame that are aimed at on two cores of a processor."""
+    """Target milliseconds per frame on two processor cores."""
     optional: bool = False
-    """Whether it is left out unless asked for by name or with everything."""
+    """Whether it is skipped unless requested by name or with all."""
     missing: Callable[[], str] = lambda: ""
-    """Why it cannot run here, empty where it can."""
+    """Why it cannot run here; empty if it can."""
 
 
 def press_ball(
     counts: tuple[int, int, int], *, warm_up: int = 12, down: int = 8, along: int = 16
 ) -> Callable[[Settings, str], Run]:
-    """A block pressed 12 mm deep by a ball, which then ploughs along at 0.1 m/s."""
+    """A block pressed 12 mm deep by a ball, which then plows along at 0.1 m/s."""
 
     def make(settings: Settings, device: str) -> Run:
         material = Material()
@@ -108,7 +108,7 @@ def press_ball(
                 forces.append(float(solver.force_on(tool)[2]))
 
         area = math.pi * (2.0 * RADIUS * depth - depth**2)
-        # A round punch in a fluid of that viscosity, beside slip-line theory.
+        # A round punch in a fluid of that viscosity, in addition to slip-line theory.
         speed = depth / (down * FRAME)
         viscous = 8.0 * material.viscosity * math.sqrt(area / math.pi) * speed
         low, high = 5.7 * material.yield_stress * area, 6.05 * material.yield_stress * area
@@ -125,7 +125,7 @@ def press_ball(
 
 
 def rest(solver: Solver, frames: int) -> None:
-    """Let clay come to rest, and sleep if it does: all that is compiled and recorded is then."""
+    """Let clay come to rest and sleep; afterwards everything is compiled and recorded."""
     for _ in range(frames):
         solver.step(FRAME)
         if solver.diagnostics().awake == 0:
@@ -135,7 +135,7 @@ def rest(solver: Solver, frames: int) -> None:
 def poke(
     counts: tuple[int, int, int], *, warm_up: int, frames: int
 ) -> Callable[[Settings, str], Run]:
-    """A large block at rest, poked by a ball at 0.1 m/s; the weight must stay right meanwhile."""
+    """A large block at rest, poked by a ball at 0.1 m/s; its weight must stay correct meanwhile."""
 
     def make(settings: Settings, device: str) -> Run:
         material = Material()
@@ -177,12 +177,12 @@ def poke(
 
 
 WHEEL_COUNT = 4169
-"""As many particles as on the wheel of Barreiro et al. 2021."""
+"""Number of particles on the wheel of Barreiro et al. 2021."""
 WHEEL_RATE = 100.0 * 2.0 * math.pi / 60.0
 
 
 def dome(count: int) -> NDArray[np.float64]:
-    """So many particles of a lattice, those nearest to the middle of a table [m], shape [N, 3]."""
+    """The ``count`` lattice particles nearest to the middle of a table [m], shape [N, 3]."""
     points = block((31, 31, 16), SPACING)
     order = np.argsort(np.linalg.norm(points * (1.0, 1.0, 1.2), axis=1), kind="stable")
     return points[order[:count]]
@@ -196,7 +196,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
     spin = np.cross((0.0, 0.0, WHEEL_RATE), points)
     scene.add_clay(points, Material(friction=1.0), velocities=spin)
     disc = trimesh.creation.cylinder(0.1, 0.02, sections=64)
-    # The ball brakes the clay with more than its weight times any ordinary friction could bear.
+    # The ball brakes the clay more than any ordinary friction under its weight could withstand.
     wheel = scene.add_mesh(disc.vertices - np.array((0, 0, 0.01)), disc.faces, friction=100.0)
     sphere = ball(RADIUS)
     tool = scene.add_mesh(sphere.vertices, sphere.faces, friction=0.1)
@@ -237,7 +237,7 @@ def turn_wheel(settings: Settings, device: str) -> Run:
 
 
 def kindergarten(settings: Settings, device: str) -> Run:
-    """The kindergarten scene with its two soft hands, from where they touch the clay."""
+    """The kindergarten scene with its two soft hands, from the moment they touch the clay."""
     import bpy
 
     from tactile_clay.clay_addon import register
@@ -255,26 +255,26 @@ def kindergarten(settings: Settings, device: str) -> Run:
     assert solver is not None
     number = 1
 
-    def go_on() -> None:
+    def advance() -> None:
         nonlocal number
         number += 1
         bpy.context.scene.frame_set(number)
         simulation.feed(bpy.context.evaluated_depsgraph_get())
 
     for _ in range(20):
-        go_on()
+        advance()
         solver.step(FRAME)
     return Run(
         solver,
-        lambda frame: go_on(),
+        lambda frame: advance(),
         70,
         lambda: Error("mean compression", solver.diagnostics().volume_error, (0.0, 0.0)),
     )
 
 
 def without_blender() -> str:
-    """Why the kindergarten cannot be built."""
-    return "" if importlib.util.find_spec("bpy") else "it is built in Blender, and bpy is missing"
+    """Why the kindergarten cannot be built; empty if it can."""
+    return "" if importlib.util.find_spec("bpy") else "it needs Blender, and bpy is missing"
 
 
 CASES: tuple[Case, ...] = (
@@ -305,16 +305,16 @@ CASES: tuple[Case, ...] = (
 
 
 def chosen(names: Iterable[str], *, everything: bool) -> list[Case]:
-    """Cases by name; without names, all but the optional.
+    """Cases by name; without names, all but the optional ones.
 
     Raises:
-        ValueError: There is no such case; the message says which there are.
+        ValueError: There is no such case; the message lists all.
     """
     wanted = list(names)
     known = {case.name: case for case in CASES}
     for name in wanted:
         if name not in known:
-            raise ValueError(f"There is no case {name!r}. There are: {', '.join(known)}.")
+            raise ValueError(f"There is no case {name!r}. Available: {', '.join(known)}.")
     if wanted:
         return [known[name] for name in wanted]
     return [case for case in CASES if everything or not case.optional]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the peers' scene in Newton's implicit material point method, in Newton's own environment.
+"""Runs the comparison scene in Newton's implicit material point method, in its own environment.
 
-Set up as the mud of Newton's example of several materials (mpm_multi_material): the solver's
+Set up like the mud in Newton's multi-material example (mpm_multi_material): the solver's
 default bases, at most 250 iterations to a tolerance of 1e-6, particles projected out of colliders
 after the step, one step a frame of 1/60 s, no internal friction, a yield pressure out of reach,
 full tension. Voxels are of two particle spacings and the ball is a kinematic body, as in its
@@ -22,7 +22,7 @@ import warp as wp
 from newton.solvers import SolverImplicitMPM
 
 STEPS = 1
-"""Solver steps a frame."""
+"""Solver steps per frame."""
 
 
 def run(scene: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -75,9 +75,9 @@ def run(scene: dict[str, np.ndarray]) -> dict[str, Any]:
             solver.step(state, state, None, None, step)
             solver.project_outside(state, state, step)
             impulses, _, colliders = solver.collect_collider_impulses(state)
-            which = colliders.numpy()
-            bodies = solver.collider_body_index.numpy()[np.maximum(which, 0)]
-            felt = (which >= 0) & (bodies == ball)
+            indices = colliders.numpy()
+            bodies = solver.collider_body_index.numpy()[np.maximum(indices, 0)]
+            felt = (indices >= 0) & (bodies == ball)
             force += float(impulses.numpy()[felt, 2].sum()) / step / STEPS
         cores.append(time.process_time() - core)
         walls.append(time.perf_counter() - wall)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the peers' scene in Tactile Clay.
+"""Runs the comparison scene in Tactile Clay.
 
 python -m tactile_clay.tests.bench.peer_own scene.npz result.npz
 """

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene that all engines run, and the measures that are taken of each in the same way.
+"""The scene that all engines run, and the measurements taken of each in the same way.
 
-A block of clay stands on a table. A ball is pressed into it, held, and taken away. The scene goes
-to an engine as arrays in a file, and its result comes back as arrays in a file, so that the
-engines can run in Python environments of their own.
+A block of clay stands on a table. A ball is pressed into it, held, and taken away. The scene is
+passed to an engine as arrays in a file, and so is its result, so that each engine can run in its
+own Python environment.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 FRAME = 1.0 / 60.0
 RADIUS = 0.012
-"""Of the ball [m]."""
+"""Radius of the ball [m]."""
 DEPTH = 0.012
-"""How deep it is pressed [m]."""
+"""Depth of the press [m]."""
 SPEED = 0.09
-"""How fast [m/s]."""
+"""Speed of the ball [m/s]."""
 SETTLING, RESTING, HOLDING, LEAVING = 12, 18, 20, 40
-"""Frames before drift is measured, while it is measured, with the ball held, and after."""
+"""Number of frames before and during the measurement of drift, with the ball held, and after."""
 
 MATERIAL = {
     "density": 1700.0,
@@ -34,7 +34,7 @@ MATERIAL = {
     "bulk_modulus": 3e5,
     "friction": 0.5,
 }
-"""SI units, the yield stress in shear. Viscosity is none: slip-line theory knows none."""
+"""SI units, yield stress in shear. No viscosity, because slip-line theory has none."""
 
 
 @dataclass(frozen=True)
@@ -44,25 +44,24 @@ class PeerScene:
     points: Array
     """Particles [m], shape [N, 3]."""
     spacing: float
-    """Their distance [m]."""
+    """Particle spacing [m]."""
     heights: Array
-    """Where the ball's center is at the end of each frame [m], shape [F]; it stands over the
-    origin."""
+    """Height of the ball's center above the origin at the end of each frame [m], shape [F]."""
     settled: int
     """Frame after which the block has settled."""
     rested: int
-    """Frame after which its drift is measured, and the press begins."""
+    """Frame after which its drift is measured and the press begins."""
     pressed: int
     """Frame after which the ball is deepest."""
     held: int
-    """Frame after which it has been held."""
+    """Last frame in which the ball is held."""
 
     def snapshots(self) -> list[int]:
-        """Frames after which positions are asked for."""
+        """Frames after which positions are recorded."""
         return [self.settled, self.rested, self.held, len(self.heights) - 1]
 
     def arrays(self) -> dict[str, Any]:
-        """What an engine is told."""
+        """The scene as an engine receives it."""
         return {
             "points": self.points,
             "spacing": np.array(self.spacing),
@@ -76,7 +75,7 @@ class PeerScene:
 
 
 def make_scene(counts: int = 16, spacing: float = 0.005) -> PeerScene:
-    """A cube of ``counts`` particles a side."""
+    """Make a cube with ``counts`` particles per side."""
     axis = (np.arange(counts) + 0.5) * spacing
     points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     points[:, :2] -= 0.5 * counts * spacing
@@ -94,34 +93,34 @@ def make_scene(counts: int = 16, spacing: float = 0.005) -> PeerScene:
 
 @dataclass(frozen=True)
 class PeerMeasures:
-    """What is compared."""
+    """The measurements that are compared."""
 
     drift: float
-    """Farthest that a particle of the settled block moved in .3 s, over the spacing."""
+    """Largest motion of a particle of the settled block in .3 s, over the spacing."""
     force_moving: float
-    """On the ball at full depth, over the middle of slip-line theory's 5.7 to 6.05 τ_y A; not a
-    number where the engine does not report it."""
+    """Force on the ball at full depth, over the middle of slip-line theory's 5.7 to 6.05 τ_y A; NaN
+    if the engine does not report it."""
     force_held: float
     """The same, a third of a second later."""
     dent: float
-    """Depth under the held ball, over how deep it was pressed."""
+    """Depth under the held ball, over the depth of the press."""
     spring_back: float
-    """Part of the dent that came back."""
+    """Fraction of the dent that sprang back."""
     compression: float
-    """Mean change of density after all, as a part of the density at rest."""
+    """Mean change of density at the end, relative to the density at rest."""
     height_lost: float
-    """Sinking of the block's upper edges after all, over its height: 0 for what stands."""
+    """Sinking of the block's upper edges at the end, over its height."""
     core_microseconds: float
-    """Processor microseconds a particle and frame: median over the frames of press and hold."""
+    """Processor microseconds per particle and frame: median over the frames of press and hold."""
     wall_milliseconds: float
-    """Milliseconds a frame: median over the same."""
+    """Milliseconds per frame: median over the same frames."""
 
 
 def measure(scene: PeerScene, result: dict[str, NDArray]) -> PeerMeasures:
-    """Take the measures of an engine's result.
+    """Measure an engine's result.
 
     Args:
-        scene: What it ran.
+        scene: The scene that it ran.
         result: ``positions`` [m], shape [S, N, 3], after the frames of `PeerScene.snapshots`;
             ``forces`` upwards on the ball [N], mean over each frame, shape [F]; ``core_seconds``
             and ``wall_seconds`` of each frame, shape [F].
@@ -136,8 +135,8 @@ def measure(scene: PeerScene, result: dict[str, NDArray]) -> PeerMeasures:
     under = (across < 1.1 * spacing) & (scene.points[:, 2] > top - 0.5 * spacing)
     edge = (across > across.max() - 2.0 * spacing) & (scene.points[:, 2] > top - 0.5 * spacing)
 
-    def sink(positions: Array, which: NDArray[np.bool_]) -> float:
-        return float((rested[which, 2] - positions[which, 2]).mean())
+    def sink(positions: Array, chosen: NDArray[np.bool_]) -> float:
+        return float((rested[chosen, 2] - positions[chosen, 2]).mean())
 
     dent = sink(held, under)
     work = slice(scene.rested + 1, scene.held + 1)
@@ -156,7 +155,7 @@ def measure(scene: PeerScene, result: dict[str, NDArray]) -> PeerMeasures:
 
 
 def mean_density(positions: Array, spacing: float) -> float:
-    """Mean of Σ (1 − r/3d)³ over the particles: grows with density in proportion, nearly."""
+    """Mean of Σ (1 − r/3d)³ over the particles: nearly proportional to density."""
     total = 0.0
     reach = 3.0 * spacing
     for some in np.array_split(positions, max(1, len(positions) // 256)):

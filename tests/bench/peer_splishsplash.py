@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the peers' scene in SPlisHSPlasH, in its own environment.
+"""Runs the comparison scene in SPlisHSPlasH, in its own environment.
 
-It has no clay. A viscous fluid stands in, set up as its own scenes of buckling fluids are: position
-based fluids with the implicit viscosity of Weiler et al. 2018, whose viscosity makes the stress
-around the ball that of the clay. Time steps follow its Courant condition. Boundaries are particles
-after Akinci et al. 2012; they lie half a spacing below the surfaces that they stand for, because
-they keep others a whole spacing away. The force on a body is summed inside but does not reach
-Python, so none is reported.
+It has no clay. A viscous fluid is used instead, set up like its own scenes of buckling fluids:
+position based fluids with the implicit viscosity of Weiler et al. 2018, chosen so that the stress
+around the ball is that of the clay. Time steps follow its Courant condition. Boundaries are
+particles after Akinci et al. 2012; they lie half a spacing below the surfaces that they represent,
+because they keep others a whole spacing away. The force on a body is summed internally but not
+accessible from Python, so none is reported.
 
     python peer_splishsplash.py scene.npz result.npz
 """
@@ -27,7 +27,7 @@ import pysplishsplash as sph
 
 
 def material(scene: dict[str, np.ndarray]) -> dict[str, Any]:
-    """What stands in for clay."""
+    """The fluid used instead of clay."""
     # The strain rate around the ball is its speed over its radius.
     viscosity = float(scene["yield_stress"] * scene["radius"] / scene["speed"])
     return {
@@ -48,7 +48,7 @@ def describe(scene: dict[str, np.ndarray]) -> dict[str, Any]:
     """The scene as SPlisHSPlasH reads it."""
     models = Path(sys.executable).parent / "data" / "models"
     points, half = scene["points"], 0.52 * float(scene["spacing"])
-    # Where boundary particles lie below the surface.
+    # Distance of boundary particles below the surface.
     below = 0.5 * float(scene["spacing"])
     radius = float(scene["radius"]) - below
     size = 4.0 * float(points[:, 0].max())
@@ -91,7 +91,7 @@ def describe(scene: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 class Recorder:
-    """Moves the ball before each step, and notes what a frame cost and where particles are."""
+    """Moves the ball before each step, and records the cost and positions of frames."""
 
     def __init__(self, scene: dict[str, np.ndarray]) -> None:
         self.scene = scene
@@ -105,12 +105,12 @@ class Recorder:
         self.order: np.ndarray | None = None
 
     def height(self, moment: float) -> float:
-        """Of the ball's center at a time [s]."""
+        """Height of the ball's center [m] at a time [s]."""
         ends = self.frame * np.arange(1, len(self.heights) + 1)
         return float(np.interp(moment, ends, self.heights))
 
     def step(self) -> None:
-        """What is called before each step."""
+        """Callback before each step."""
         now = sph.TimeManager.getCurrent()
         while self.done < len(self.heights) and now.getTime() >= (self.done + 1) * self.frame:
             ended = (time.process_time(), time.perf_counter())
@@ -122,8 +122,8 @@ class Recorder:
             self.begin = (time.process_time(), time.perf_counter())
         ball = sph.Simulation.getCurrent().getBoundaryModel(1).getRigidBodyObject()
         step = now.getTimeStepSize()
-        way = self.height(now.getTime() + step) - float(ball.getPosition()[2])
-        ball.setVelocity([0.0, 0.0, way / step])
+        offset = self.height(now.getTime() + step) - float(ball.getPosition()[2])
+        ball.setVelocity([0.0, 0.0, offset / step])
         ball.animate()
 
     def read(self) -> np.ndarray:
@@ -155,7 +155,9 @@ def run(scene: dict[str, np.ndarray]) -> dict[str, Any]:
         base.initSimulation()
         count = sph.Simulation.getCurrent().getFluidModel(0).numActiveParticles()
         if count != len(scene["points"]):
-            raise RuntimeError(f"SPlisHSPlasH made {count} particles of {len(scene['points'])}.")
+            raise RuntimeError(
+                f"SPlisHSPlasH made {count} particles instead of {len(scene['points'])}."
+            )
         base.setTimeStepCB(recorder.step)
         base.setValueFloat(base.STOP_AT, recorder.frame * (len(scene["heights"]) + 1))
         base.runSimulation()
@@ -171,5 +173,5 @@ def run(scene: dict[str, np.ndarray]) -> dict[str, Any]:
 if __name__ == "__main__":
     np.savez(sys.argv[2], **run(dict(np.load(sys.argv[1]))))
     sys.stdout.flush()
-    # Its destructors crash where there is no window.
+    # Its destructors crash without a window.
     os._exit(0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the peers' scene in a moving-least-squares material point method written in Taichi.
+"""Runs the comparison scene in a moving-least-squares material point method written in Taichi.
 
-Taichi is a language; the method is set up as the examples in its documentation are (mpm99, mpm3d):
-explicit steps, quadratic B-splines, affine transfer, eight particles a cell, float32. The clay is
+Taichi is a language; the method is set up like the examples in its documentation (mpm99, mpm3d):
+explicit steps, quadratic B-splines, affine transfer, eight particles per cell, float32. The clay is
 Hencky elasticity with von Mises yield by return mapping (Klár et al., *Drucker-Prager
 elastoplasticity for sand animation*, ACM TOG 2016, doi 10.1145/2897824.2925906, has the mapping in
 logarithmic strain). Contact is with grid nodes inside the ball or the table, with Coulomb friction;
@@ -19,7 +19,7 @@ import numpy as np
 import taichi as ti
 
 COURANT = 0.3
-"""Part of a cell that a pressure wave crosses in a step."""
+"""Fraction of a cell that a pressure wave crosses in a step."""
 MARGIN = 4
 """Empty cells below the table and around the block."""
 
@@ -61,7 +61,7 @@ class MaterialPoints:
 
     @ti.func
     def stencil(self, x):  # type: ignore[no-untyped-def]
-        """First node, place in its cell, and weights along each axis."""
+        """First node, position relative to it, and weights along each axis."""
         place = (x - self.corner) / self.cell
         base = ti.cast(place - 0.5, ti.i32)
         f = place - ti.cast(base, ti.f32)
@@ -93,7 +93,7 @@ class MaterialPoints:
 
     @ti.kernel
     def advance(self, height: ti.f32, speed: ti.f32):  # type: ignore[no-untyped-def, valid-type]
-        """One step, with the ball's center at a height [m] and its speed [m/s]."""
+        """Advance by one step, given the height of the ball's center [m] and its speed [m/s]."""
         for node in ti.grouped(self.grid_m):
             self.grid_v[node] = ti.Vector.zero(ti.f32, 3)
             self.grid_m[node] = 0.0
@@ -136,7 +136,7 @@ class MaterialPoints:
 
     @ti.func
     def touch(self, v, normal):  # type: ignore[no-untyped-def]
-        """Stop what goes into a surface, with Coulomb friction."""
+        """Stop motion into a surface, with Coulomb friction."""
         into = v.dot(normal)
         result = v
         if into < 0.0:
@@ -161,7 +161,7 @@ def run(scene: dict[str, np.ndarray]) -> dict[str, Any]:
         ti.sync()
         cores.append(time.process_time() - core)
         walls.append(time.perf_counter() - wall)
-        # What the clay loses upwards, the ball gains.
+        # The upward momentum that the clay loses is the ball's gain.
         forces.append(clay.impulse[None] / frame)
         height = target
         if number in scene["snapshots"]:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs the same press in other engines and in Tactile Clay, and compares error and cost.
 
-Makes a Python environment for each engine under build/peers, from the package index, and writes
-build/bench/peers.json and peers.md. One thread each, so that no waiting counts as processor time.
+Installs each engine from the package index into its own Python environment under build/peers, and
+writes build/bench/peers.json and peers.md. Each runs on one thread, so that waiting does not count
+as processor time.
 """
 
 from __future__ import annotations
@@ -24,27 +25,27 @@ from .peer_scene import PeerMeasures, PeerScene, make_scene, measure
 
 FOLDER = Path(__file__).resolve().parent
 TIME_LIMIT = 1500.0
-"""Seconds after which an engine is given up."""
+"""Seconds after which an engine is aborted."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """An engine and how it is run."""
+    """An engine and how to run it."""
 
     name: str
-    """As the table calls it."""
+    """Name in the table."""
     requirements: tuple[str, ...]
-    """What pip installs; nothing for this project itself."""
+    """Packages for pip to install."""
     script: str
-    """What runs the scene in the engine's environment."""
+    """Script that runs the scene in the engine's environment."""
     note: str = ""
-    """What must be known to read its figures."""
+    """What readers of its figures must know."""
     preload: tuple[str, ...] = ()
     """Libraries to load first on Linux."""
 
     @property
     def environment(self) -> str:
-        """Name of its environment's folder."""
+        """Folder name of its environment."""
         return self.requirements[0].partition("=")[0]
 
 
@@ -53,7 +54,7 @@ PEERS = (
         "Newton, implicit MPM",
         ("newton",),
         "peer_newton.py",
-        note="the mud of its own example, one step a frame",
+        note="set up like the mud of its own example, one step per frame",
     ),
     Peer(
         "Taichi, MLS-MPM",
@@ -66,8 +67,8 @@ PEERS = (
         "SPlisHSPlasH, PBF",
         ("pysplishsplash",),
         "peer_splishsplash.py",
-        note="a viscous fluid, it has no clay; its Python gives out no force",
-        # The wheel brings its own libGLdispatch, which the system's libGLX must not meet first.
+        note="a viscous fluid, as it has no clay; its Python interface reports no force",
+        # The wheel bundles its own libGLdispatch; the system's libGL must be loaded before it.
         preload=("libGL.so.1",),
     ),
 )
@@ -75,28 +76,28 @@ PEERS = (
 
 @dataclass(frozen=True)
 class Entry:
-    """What an engine came to."""
+    """The result of an engine."""
 
     name: str
-    """Its name."""
+    """Name of the engine."""
     versions: dict[str, str]
-    """Versions of what was installed for it."""
+    """Versions of the packages installed for it."""
     note: str
-    """What must be known to read its figures."""
+    """What readers of its figures must know."""
     measures: PeerMeasures | None
-    """What was measured, nothing where it failed."""
+    """Measurements; None if it failed."""
     failure: str = ""
     """Why it failed."""
 
 
 def make_environment(peer: Peer, folder: Path) -> Path:
-    """Make the engine's environment unless it stands.
+    """Make the engine's environment unless it exists.
 
     Returns:
-        Its Python.
+        Path of its Python.
 
     Raises:
-        RuntimeError: pip did not succeed; the message is the end of what it said.
+        RuntimeError: Installation failed; the message is the end of its output.
     """
     home = folder / peer.environment
     python = home / "bin" / "python"
@@ -119,7 +120,7 @@ def make_environment(peer: Peer, folder: Path) -> Path:
 
 
 def list_versions(python: Path) -> dict[str, str]:
-    """Versions of all packages of an environment."""
+    """Versions of all packages in an environment."""
     text = subprocess.run(
         (str(python), "-m", "pip", "list", "--format=json", "--disable-pip-version-check"),
         capture_output=True,
@@ -132,17 +133,17 @@ def list_versions(python: Path) -> dict[str, str]:
 def run_command(
     command: Sequence[str], scene: PeerScene, variables: dict[str, str]
 ) -> PeerMeasures:
-    """Run an engine on the scene, which it is told as a file.
+    """Run an engine on the scene, passed to it as a file.
 
     Raises:
-        RuntimeError: It failed; the message is the end of what it said.
+        RuntimeError: It failed; the message is the end of its output.
     """
     with tempfile.TemporaryDirectory() as folder:
-        told, answer = Path(folder, "scene.npz"), Path(folder, "result.npz")
-        np.savez(told, **scene.arrays())
+        scene_path, result_path = Path(folder, "scene.npz"), Path(folder, "result.npz")
+        np.savez(scene_path, **scene.arrays())
         full = [*command]
-        full[full.index("SCENE")] = str(told)
-        full[full.index("RESULT")] = str(answer)
+        full[full.index("SCENE")] = str(scene_path)
+        full[full.index("RESULT")] = str(result_path)
         environment = os.environ | {"OMP_NUM_THREADS": "1"} | variables
         try:
             done = subprocess.run(
@@ -155,14 +156,14 @@ def run_command(
             )
         except subprocess.TimeoutExpired as error:
             raise RuntimeError(f"took longer than {TIME_LIMIT:.0f} s") from error
-        if not answer.exists():
-            said = (done.stderr.strip() or done.stdout.strip())[-300:]
-            raise RuntimeError(f"ended with {done.returncode}: {said}")
-        return measure(scene, dict(np.load(answer)))
+        if not result_path.exists():
+            output = (done.stderr.strip() or done.stdout.strip())[-300:]
+            raise RuntimeError(f"ended with {done.returncode}: {output}")
+        return measure(scene, dict(np.load(result_path)))
 
 
 def run_peer(peer: Peer, scene: PeerScene, folder: Path) -> Entry:
-    """Install an engine and run it; what fails is told."""
+    """Install and run an engine; a failure becomes part of the entry."""
     versions: dict[str, str] = {}
     try:
         python = make_environment(peer, folder)
@@ -178,7 +179,7 @@ def run_peer(peer: Peer, scene: PeerScene, folder: Path) -> Entry:
 
 
 def run_own(scene: PeerScene) -> Entry:
-    """Run the scene here, in a process of its own as the others."""
+    """Run the scene in Tactile Clay, in its own process like the others."""
     module = "tactile_clay.tests.bench.peer_own"
     try:
         measures = run_command((sys.executable, "-m", module, "SCENE", "RESULT"), scene, {})
@@ -188,8 +189,8 @@ def run_own(scene: PeerScene) -> Entry:
 
 
 COLUMNS: tuple[tuple[str, Callable[[PeerMeasures], str]], ...] = (
-    ("core-µs a particle and frame", lambda m: f"{m.core_microseconds:.1f}"),
-    ("ms a frame", lambda m: f"{m.wall_milliseconds:.0f}"),
+    ("core-µs per particle and frame", lambda m: f"{m.core_microseconds:.1f}"),
+    ("ms per frame", lambda m: f"{m.wall_milliseconds:.0f}"),
     ("drift at rest, spacings", lambda m: f"{m.drift:.2g}"),
     ("force moving / theory", lambda m: _or_dash(m.force_moving)),
     ("force held / theory", lambda m: _or_dash(m.force_held)),
@@ -226,8 +227,8 @@ def write(entries: Sequence[Entry], scene: PeerScene, folder: Path) -> None:
         f"A ball of 12 mm radius is pressed 12 mm deep into {len(scene.points)} particles of clay "
         "(τ_y 5 kPa, G 100 kPa, K 300 kPa, 1700 kg/m³, no viscosity) at 90 mm/s, held for a third "
         "of a second and taken away. Theory is the middle of 5.7 to 6.05 τ_y A. One thread each; "
-        "medians over the frames of press and hold. The change of density is of the mean "
-        "over all particles, so it falls where a block spreads and gets more surface.",
+        "medians over the frames of press and hold. The density change is that of the mean "
+        "over all particles, so it decreases when a block spreads and its surface grows.",
         "",
         *table(entries),
         "",
@@ -260,7 +261,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("build/bench"))
     parser.add_argument("--environments", type=Path, default=Path("build/peers"))
-    parser.add_argument("--only", help="run only peers whose name holds this")
+    parser.add_argument("--only", help="run only engines whose name contains this")
     parser.add_argument("--counts", type=int, default=16, help="particles along the block's edge")
     options = parser.parse_args()
     scene = make_scene(options.counts)

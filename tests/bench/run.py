@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times whole frames of clay in contact with a moving tool, and of touch, into bench.json.
+"""Times whole frames of clay in contact with a moving tool, and of touch, and writes bench.json.
 
-Times are medians over frames in one process, after warming up; compare them by their ratio where
-other work shares the machine. Processor time counts all threads.
+Times are medians over frames in one process, after warming up; compare only their ratios if other
+work shares the machine. Processor time counts all threads.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def measure(case: Case, settings: Settings, device: str) -> dict[str, Any]:
     """Run a case.
 
     Returns:
-        What is in bench.json for it.
+        Its entry in bench.json.
     """
     run = case.make(settings, device)
     particles = run.solver.scene.particle_count
@@ -67,22 +67,22 @@ def measure(case: Case, settings: Settings, device: str) -> dict[str, Any]:
 
 
 def sentence(figures: dict[str, Any]) -> str:
-    """A case in a line."""
+    """One line about a case."""
     goal = "" if figures["goal_ms"] is None else f", goal {figures['goal_ms']:g}"
     return (
         f"{figures['case']:>12}  {figures['particles']:>9,} particles  "
-        f"{figures['ms_median']:8.1f} ms a frame (p90 {figures['ms_p90']:.1f}{goal})  "
-        f"{figures['core_ms']:8.1f} core-ms  {figures['core_microseconds_per_particle']:6.2f} µs a "
-        f"particle  {figures['error']['figure']}: {figures['error']['measured']:.4g}, "
+        f"{figures['ms_median']:8.1f} ms per frame (p90 {figures['ms_p90']:.1f}{goal})  "
+        f"{figures['core_ms']:8.1f} core-ms  {figures['core_microseconds_per_particle']:6.2f} "
+        f"µs per particle  {figures['error']['figure']}: {figures['error']['measured']:.4g}, "
         f"{figures['error']['error']:.1%} off"
     )
 
 
 def main() -> None:
-    """Run the cases and write what they gave."""
+    """Run the cases and write their results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("cases", nargs="*", help="names of cases; all but the largest if none")
-    parser.add_argument("--all", action="store_true", help="the largest too")
+    parser.add_argument("cases", nargs="*", help="names of cases; by default all but the largest")
+    parser.add_argument("--all", action="store_true", help="include the largest")
     parser.add_argument("--output", type=Path, default=Path("build/bench"))
     parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
@@ -97,7 +97,7 @@ def main() -> None:
     for case in cases:
         reason = case.missing()
         if reason:
-            print(f"{case.name:>12}  left out: {reason}", flush=True)
+            print(f"{case.name:>12}  skipped: {reason}", flush=True)
             continue
         results.append(measure(case, Settings(), options.device))
         print(sentence(results[-1]), flush=True)

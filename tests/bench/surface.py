@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a surface of clay costs while it is worked live, beside its error."""
+"""Cost of the clay's surface in live sculpting, and its error."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ def measure_all() -> list[SurfaceFigures]:
 
 
 def figures(result: SurfaceFigures) -> dict[str, Any]:
-    """What is in bench.json for it."""
+    """The entry in bench.json."""
     return {"case": f"surface-{result.size}", **asdict(result)}
 
 
 def sentence(result: SurfaceFigures) -> str:
-    """A size in a line."""
+    """One line about a size."""
     written = "" if result.write_ms is None else f", {result.write_ms:.1f} ms into Blender"
     return (
         f"{'surface-' + result.size:>12}  {result.particles:>9,} particles  "
-        f"{result.ms_median:8.1f} ms a surface (p90 {result.ms_p90:.1f}; still "
+        f"{result.ms_median:8.1f} ms per surface (p90 {result.ms_p90:.1f}; still "
         f"{result.still_ms:.2f}{written})  {result.core_ms:8.1f} core-ms  "
         f"ball {result.ball_volume - 1:+.1%}, {result.ball_distance:.3f} d off  "
         f"block {result.block_volume - 1:+.1%}, {result.block_distance:.3f} d off"

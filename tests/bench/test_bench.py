@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Benchmarks: the cases are what they say, and all engines are measured alike."""
+"""Benchmarks: the cases run, and all engines are measured alike."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from tactile_clay.tests.experiments.live_surface import measure_surface, surface
 
 
 def test_a_case_is_timed_and_judged():
-    """Time a small press, and tell its force beside slip-line theory's band."""
+    """Time a small press, and compare its force with slip-line theory."""
     small = cases.Case("small", "small block", cases.press_ball((6, 6, 6), down=3, along=2))
     figures = run.measure(small, Settings(), "cpu")
     assert figures["particles"] == 216
@@ -30,7 +30,7 @@ def test_a_case_is_timed_and_judged():
 
 @pytest.mark.parametrize("case", touch.CASES, ids=lambda case: case.name)
 def test_a_part_of_touch_is_timed_and_judged(case: touch.TouchCase):
-    """Time a few frames of each part, beside an error that is small where it works."""
+    """Time a few frames of each part, with a small error."""
     figures = touch.measure(case, frames=touch.FRAMES if "drive" in case.name else 4)
     assert 0.0 < figures["ms_median"] <= figures["ms_p90"]
     assert figures["core_ms"] > 0.0
@@ -40,7 +40,7 @@ def test_a_part_of_touch_is_timed_and_judged(case: touch.TouchCase):
 
 
 def test_a_surface_is_timed_and_judged():
-    """Time surfaces of a block, and find them near the ball and the block they are of."""
+    """Time surfaces of a block, and find surfaces close to their ball and block."""
     result = measure_surface("2k", frames=2)
     assert result.particles == 2197
     assert 0.0 < result.ms_median <= result.ms_p90
@@ -53,15 +53,15 @@ def test_a_surface_is_timed_and_judged():
     assert "| 2,197 |" in surface_lines([result])[-1]
 
 
-def test_error_is_relative_to_the_middle_of_the_band():
-    """Count nothing inside the band, and the distance over its middle outside."""
+def test_error_is_relative_to_the_middle_of_the_range():
+    """Be zero inside the range, and outside the distance over its middle."""
     assert cases.Error("force", 13.0, (12.0, 14.0)).error == 0.0
     assert cases.Error("force", 15.3, (12.0, 14.0)).error == pytest.approx(0.1)
     assert cases.Error("compression", 0.02, (0.0, 0.0)).error == pytest.approx(0.02)
 
 
 def test_the_wheel_carries_as_many_particles_as_the_papers():
-    """Turn a dome of 4,169 particles that is round and stands on the wheel."""
+    """Make a round dome of 4,169 particles that stands on the wheel."""
     points = cases.dome(cases.WHEEL_COUNT)
     assert len(points) == 4169
     assert np.abs(points[:, :2].mean(0)).max() < 0.1 * cases.SPACING
@@ -70,7 +70,7 @@ def test_the_wheel_carries_as_many_particles_as_the_papers():
 
 
 def test_an_unknown_case_is_refused():
-    """Name the cases there are when another is asked for, and leave out the largest otherwise."""
+    """List the cases if an unknown one is requested; skip the largest by default."""
     with pytest.raises(ValueError, match="press-4k"):
         cases.chosen(["press-5k"], everything=False)
     names = {case.name for case in cases.chosen([], everything=False)}
@@ -79,7 +79,7 @@ def test_an_unknown_case_is_refused():
 
 
 def test_measures_of_an_ideal_plastic():
-    """Find the whole dent, no spring-back and theory's force in what an ideal clay would give."""
+    """Find the whole dent, no spring-back and theory's force for an ideally plastic clay."""
     scene = make_scene(8)
     rest = scene.points
     dented = rest.copy()
@@ -104,7 +104,7 @@ def test_measures_of_an_ideal_plastic():
 
 
 def test_density_grows_as_volume_shrinks():
-    """Measure twice the compression for a squeeze twice as deep, of the right size."""
+    """Measure the right compression, and twice as much for twice the squeeze."""
     scene = make_scene(10)
     frames = np.ones(len(scene.heights))
     changes = []
@@ -122,8 +122,8 @@ def test_density_grows_as_volume_shrinks():
     assert changes[1] / changes[0] == pytest.approx(2.0, rel=0.1)
 
 
-def test_what_fails_is_told_in_the_table(tmp_path: Path):
-    """Write why an engine has no figures, instead of leaving it out."""
+def test_failures_are_listed_in_the_table(tmp_path: Path):
+    """Write why an engine has no results instead of omitting it."""
     broken = peers.Peer("Broken", ("broken",), "no_such_script.py", note="cannot run")
     home = tmp_path / "broken"
     (home / "bin").mkdir(parents=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The way from contact to wire is timed over the whole of it."""
+"""Latency is measured over the whole path from contact to wire."""
 
 import sys
 
@@ -11,7 +11,7 @@ from tactile_clay.tests.haptics.peers.harness import TWO_FOCI, peer
 
 
 def test_latency_counts_from_the_contact_forces() -> None:
-    """Count the time that the focal points take, as well as the server's and the wire's."""
+    """Include the time of the focal points, the server and the wire."""
     slow = 0.03
 
     def next_foci(frame: int) -> object:
@@ -30,7 +30,7 @@ def test_latency_counts_from_the_contact_forces() -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 def test_the_wire_counts() -> None:
-    """Count the 11 ms that 258 bytes take on a wire of 230,400 baud."""
+    """Include the 11 ms that 258 bytes take on a wire at 230,400 baud."""
     with touch_latency.drained_port() as port:
         figures = touch_latency.measure_device(
             f"sonicsurface:{port},firmware=tactile", lambda frame: TWO_FOCI, frames=25
@@ -38,7 +38,7 @@ def test_the_wire_counts() -> None:
     assert figures["latency_ms"] >= 11.0
 
 
-def test_the_palm_is_pressed_over_the_array() -> None:
+def test_the_palm_is_pressed_above_the_array() -> None:
     """Press 2,000 ghosts that face the array with tens of kilopascals."""
     contacts = touch_latency.palm_contacts(3)
     assert len(contacts.positions) == touch_latency.GHOSTS
@@ -49,7 +49,7 @@ def test_the_palm_is_pressed_over_the_array() -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a pty is needed")
 def test_silence_is_timed_from_its_cause() -> None:
-    """Count the 150 ms that data may be old, and nothing where silence is asked for."""
+    """Include the 150 ms for which data stay valid, but not when silence is requested."""
     with peer("sonicsurface_peer", "tactile", "1") as board:
         slow = touch_silence.time_to_silence(board, touch_silence.ENDS["no more data"])
         fast = touch_silence.time_to_silence(board, touch_silence.ENDS["no focal points"])

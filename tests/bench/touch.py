@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a frame of touch costs on one core: field, foci, route and drive, each beside its error."""
+"""Cost of a frame of touch on one core: field, foci, route and drive, each with its error."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tactile_clay.tests.haptics.target_sets import random_targets
 from .cases import Error
 
 GHOSTS_ALONG = (50, 40)
-"""Ghosts of a piece of skin: 2,000."""
+"""Ghosts along each side of a patch of skin: 2,000 in all."""
 SPACING = 0.0022
 SIGMA = 0.00865
 FRAMES = 200
@@ -35,30 +35,30 @@ FRAMES = 200
 
 @dataclass(frozen=True)
 class TouchRun:
-    """Work of one frame, and how right what it gave was."""
+    """The work of one frame, and its error."""
 
     work: Callable[[int], None]
-    """One frame; the first is number 0."""
+    """Do the work of a frame, counted from 0."""
     judge: Callable[[], Error]
-    """Tell the error, after all frames."""
+    """Return the error after all frames."""
     size: str
-    """What is worked on."""
+    """Size of the problem, in words."""
 
 
 @dataclass(frozen=True)
 class TouchCase:
-    """A part of touch that is timed."""
+    """A timed part of touch."""
 
     name: str
-    """What it is called on the command line."""
+    """Name on the command line."""
     make: Callable[[], TouchRun]
     """Build it."""
     goal: float = math.nan
-    """Milliseconds aimed at on one core."""
+    """Target milliseconds on one core."""
 
 
 def skin() -> NDArray[np.float64]:
-    """2,000 points of a curved palm, 15 cm above an array [m], shape [2000, 3]."""
+    """2,000 points on a curved palm 15 cm above an array [m], shape [2000, 3]."""
     x, y = (SPACING * (np.arange(count) - 0.5 * (count - 1)) for count in GHOSTS_ALONG)
     places = np.stack(np.meshgrid(x, y, [0.15], indexing="ij"), -1).reshape(-1, 3)
     places[:, 2] += 0.01 * np.sin(places[:, 0] / 0.03) + 0.005 * np.cos(places[:, 1] / 0.02)
@@ -66,7 +66,7 @@ def skin() -> NDArray[np.float64]:
 
 
 def load(points: NDArray[np.float64], frame: int) -> NDArray[np.float64]:
-    """A pressure over all of them that moves 1.3 mm a frame [Pa], shape [G]."""
+    """Pressure at points, with a peak that moves 1.3 mm per frame [Pa], shape [G]."""
     angle = 2.0 * np.pi * frame / 75.0
     away = np.hypot(points[:, 0] - 0.015 * np.cos(angle), points[:, 1] - 0.015 * np.sin(angle))
     return np.asarray(600.0 * np.exp(-0.5 * (away / 0.03) ** 2))
@@ -97,7 +97,7 @@ def make_field() -> TouchRun:
 
 
 def make_focus() -> TouchRun:
-    """Eight foci for 2,000 touched points, going on from the frame before."""
+    """Eight foci for 2,000 touched points, warm-started from the previous frame."""
     points = skin()
     even = np.ones(len(points))
     state: list[Any] = [None]
@@ -116,14 +116,14 @@ def make_focus() -> TouchRun:
             cold = focus(points, wanted, even, sigma=SIGMA)
             errors = [misfit(reconstruct(f, points), wanted, even).error for f in (warm, cold)]
             ratios.append(errors[0] / errors[1])
-        figure = "misfit of foci that go on, over that of foci found anew"
+        figure = "misfit of warm-started foci over that of foci found anew"
         return Error(figure, float(np.mean(ratios)), (0.0, 1.0))
 
     return TouchRun(work, judge, "2,000 ghosts, 8 foci")
 
 
 def make_route() -> TouchRun:
-    """A route over 2,000 touched points, going on from the frame before."""
+    """A route over 2,000 touched points, warm-started from the previous frame."""
     points = skin()
     even = np.ones(len(points))
     state: list[Any] = [None]
@@ -176,7 +176,7 @@ def measure(case: TouchCase, *, frames: int = FRAMES) -> dict[str, Any]:
     """Run a case.
 
     Returns:
-        What is in bench.json for it.
+        Its entry in bench.json.
     """
     run = case.make()
     wall, cores = [], []
@@ -199,10 +199,10 @@ def measure(case: TouchCase, *, frames: int = FRAMES) -> dict[str, Any]:
 
 
 def sentence(figures: dict[str, Any]) -> str:
-    """A case in a line."""
+    """One line about a case."""
     goal = "" if figures["goal_ms"] is None else f", goal {figures['goal_ms']:g}"
     return (
-        f"{figures['case']:>18}  {figures['size']}  {figures['ms_median']:.3f} ms a frame "
+        f"{figures['case']:>18}  {figures['size']}  {figures['ms_median']:.3f} ms per frame "
         f"(p90 {figures['ms_p90']:.3f}{goal})  {figures['core_ms']:.3f} core-ms  "
         f"{figures['error']['figure']}: {figures['error']['measured']:.4g}"
     )

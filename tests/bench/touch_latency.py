@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times the way from contact forces on a hand to the last byte on the way to an array."""
+"""Measures the latency from contact forces on a hand to the last byte sent to an array."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FRAME = 1 / 60
 FOCI = 8
 _PATIENCE = 20.0
 _ROUND = 126
-"""Frames in which what presses goes round once."""
+"""Number of frames in one round of the moving load."""
 
 FociOf = Callable[[int], Any]
 """Focal points of a frame, from the contact forces of that frame."""
@@ -30,20 +30,20 @@ FociOf = Callable[[int], Any]
 
 @dataclass(frozen=True)
 class Contacts:
-    """What a solver tells of a hand."""
+    """Contacts of a hand as a solver reports them."""
 
     positions: NDArray[np.float64]
-    """Ghosts [m], shape [G, 3]."""
+    """Positions of the ghosts [m], shape [G, 3]."""
     normals: NDArray[np.float64]
     """Outward normals, shape [G, 3]."""
     areas: NDArray[np.float64]
-    """Skin that each stands for [m²], shape [G]."""
+    """Area of skin that each represents [m²], shape [G]."""
     forces: NDArray[np.float64]
     """Force on each [N], shape [G, 3]."""
 
 
 def palm_contacts(frame: int) -> Contacts:
-    """A rounded palm over the array, pressed by three things that move."""
+    """A rounded palm above the array, with three moving pressure peaks."""
     random = np.random.default_rng(1)
     place = random.uniform(-0.045, 0.045, (GHOSTS, 2))
     height = 0.18 + 8.0 * (place**2).sum(1)
@@ -60,9 +60,9 @@ def palm_contacts(frame: int) -> Contacts:
 
 
 def foci_of_contacts() -> FociOf:
-    """The whole way that a live scene goes: pressure field, then focal points, warm-started."""
+    """The whole pipeline of a live scene: pressure field, then focal points, warm-started."""
     array = TransducerArray.preset("sonicsurface")
-    # A solver would have them: making them does not count.
+    # A solver would provide them, so making them is not timed.
     given = [palm_contacts(frame) for frame in range(_ROUND)]
     last: dict[str, Any] = {"field": None, "foci": None}
 
@@ -86,7 +86,7 @@ def foci_of_contacts() -> FociOf:
 
 @contextlib.contextmanager
 def drained_port() -> Iterator[str]:
-    """A port that takes whatever is written to it; only where there are ptys."""
+    """A port that accepts whatever is written to it; needs ptys."""
     import tty
 
     master, slave = os.openpty()
@@ -115,13 +115,13 @@ def measure_device(device: str, next_foci: FociOf, *, frames: int = 300) -> dict
 
     Args:
         device: The device's name.
-        next_foci: What to send.
-        frames: How many.
+        next_foci: Returns the focal points to send in a frame.
+        frames: Number of frames.
 
     Returns:
-        Median and 99th percentile of the time from contact forces to the last byte [ms], by the
-        server's own count: when it was handed over, and how long the wire takes for what is before
-        it. The first frames, until the array sounds, count with the rest.
+        Figures that include the median and 99th percentile of the time from contact forces to the
+        last byte [ms], as the server counts it: until the data are handed over, plus the wire's
+        time for everything queued before. The first frames, until the array sounds, are included.
 
     Raises:
         TimeoutError: The array does not sound.
@@ -154,7 +154,7 @@ def measure_device(device: str, next_foci: FociOf, *, frames: int = 300) -> dict
 
 
 def measure_all(*, frames: int = 300) -> list[dict[str, Any]]:
-    """All devices that can be timed without one."""
+    """Measure all devices that need no hardware."""
     results = [
         {"case": f"touch, simulated {preset}"}
         | measure_device(f"simulated:{preset}", foci_of_contacts(), frames=frames)
@@ -170,7 +170,7 @@ def measure_all(*, frames: int = 300) -> list[dict[str, Any]]:
 
 
 def sentence(figures: dict[str, Any]) -> str:
-    """A case in a line."""
+    """One line about a case."""
     return (
         f"{figures['case']:>28}  {figures['latency_ms']:5.1f} ms from contact forces to the last "
         f"byte (p99 {figures['latency_p99_ms']:.1f}), of which pressure field and foci "

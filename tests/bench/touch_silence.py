@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Times how soon an array is silent after whatever ends its sound."""
+"""Measures how soon an array is silent after any cause that ends its sound."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if hasattr(signal, "SIGKILL"):
 
 
 def time_to_silence(board: Peer, end: Callable[[ArrayClient], None]) -> float:
-    """Sound, end it, and tell when the board has ceased to sound [s]."""
+    """Start sound, end it, and return the time until the board is silent [s]."""
     with ArrayClient.start(f"sonicsurface:{board.first['port']},firmware=tactile") as out:
         keep_sending(out, TWO_FOCI, lambda: out.status().frames_per_second > 3, "frames")
         keep_sending(out, TWO_FOCI, lambda: board.ask("state")["sounds"], "sound")
@@ -50,7 +50,7 @@ def time_to_silence(board: Peer, end: Callable[[ArrayClient], None]) -> float:
 
 
 def measure_silence(*, repeats: int = 5) -> list[dict[str, Any]]:
-    """Median and longest time to silence of each way to end, with an emulated SonicSurface."""
+    """Median and longest time to silence for each cause, with an emulated SonicSurface."""
     results = []
     with peer("sonicsurface_peer", "tactile", "1") as board:
         for name, end in ENDS.items():
@@ -62,7 +62,7 @@ def measure_silence(*, repeats: int = 5) -> list[dict[str, Any]]:
 
 
 def sentence(figures: dict[str, Any]) -> str:
-    """A case in a line."""
+    """One line about a case."""
     return (
         f"{figures['case']:>28}  silent after {figures['ms_median']:.0f} ms "
         f"(at most {figures['ms_most']:.0f})"

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's ablation (figure 2): a block dropped on an incline, without each kind of constraint.
+"""The paper's ablation (figure 2): a block dropped on an incline, leaving out constraints in turn.
 
-Barreiro, Torres and Otaduy, WHC 2021: the full model takes the impact and stops; without viscosity
-it flows fast and fractures; without elastoplasticity it drifts; without friction it slides.
+Barreiro, Torres and Otaduy, WHC 2021: the full model absorbs the impact and stops; without
+viscosity it flows fast and fractures; without elastoplasticity it drifts; without friction it
+slides.
 """
 
 import math
@@ -18,11 +19,11 @@ from .shapes import block, turned
 
 GRAVITY = 9.81
 ANGLE = math.radians(20)
-"""Of the incline."""
+"""Angle of the incline [rad]."""
 SPACING = 0.005
 COUNTS = (12, 8, 5)
 FALL = 0.1
-"""Between the block's lowest corner and the incline [m]."""
+"""Distance between the block's lowest corner and the incline [m]."""
 FRICTION = 0.7
 PIECE_REACH = 1.5
 """Particles closer than this belong to one piece, in spacings."""
@@ -35,27 +36,27 @@ VARIANTS = MappingProxyType(
         "without friction": {"friction": False},
     }
 )
-"""The settings that each variant switches off."""
+"""The settings that each variant turns off."""
 
 
 @dataclass(frozen=True)
 class Ablation:
-    """What became of a block that fell on an incline."""
+    """The outcome of a block's fall on an incline."""
 
     variant: str
     """One of `VARIANTS`."""
     pieces: int
-    """Connected pieces at the end."""
+    """Number of connected pieces at the end."""
     largest_piece: float
-    """Part of the particles in the largest piece at the end."""
+    """Fraction of the particles in the largest piece at the end."""
     height: float
-    """Of the block across the incline at the end, over that before the fall."""
+    """Height of the block normal to the incline at the end, over that before the fall."""
     slide: float
-    """How far the block's middle moved in the last 0.4 s [m]."""
+    """Motion of the block's center in the last 0.4 s [m]."""
     creep: float
-    """How far particles moved in the last 0.4 s, rms, less the block's rigid motion [m]."""
+    """RMS motion of particles in the last 0.4 s, without the block's rigid motion [m]."""
     frames: tuple[NDArray[np.float32], ...]
-    """Positions at the times asked for [m], shape [N, 3] each."""
+    """Positions at the requested times [m], shape [N, 3] each."""
 
 
 def drop_on_incline(
@@ -66,14 +67,14 @@ def drop_on_incline(
     times: tuple[float, ...] = (),
     material: Material | None = None,
 ) -> Ablation:
-    """Drop a level block on an incline, gravity tilted instead of the incline.
+    """Drop a level block on an incline, with gravity tilted instead of the incline.
 
     Args:
         variant: One of `VARIANTS`.
         model: Clay model.
-        duration: Of the whole experiment [s].
+        duration: Duration of the whole experiment [s].
         times: When to keep positions [s].
-        material: The clay; the default one with the friction of the incline where not given.
+        material: The clay; by default the default material with the friction of the incline.
     """
     downhill = np.array((math.sin(ANGLE), 0.0, -math.cos(ANGLE)))
     points = turned(block(COUNTS, SPACING), -ANGLE)
@@ -108,7 +109,7 @@ def drop_on_incline(
 
 
 def piece_sizes(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
-    """Number of particles in each connected piece, where those within reach are connected."""
+    """Number of particles in each connected piece, connecting those within reach."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=2)
     near = apart < reach
     label = np.arange(len(points))
@@ -120,7 +121,7 @@ def piece_sizes(points: NDArray[np.float64], reach: float) -> NDArray[np.int64]:
 
 
 def creep_between(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
-    """Rms of what is left of a motion after taking out the best rigid one [m] (Kabsch, 1976)."""
+    """RMS of a motion without its best-fitting rigid part [m] (Kabsch, 1976)."""
     start, end = before - before.mean(0), after - after.mean(0)
     left, _, right = np.linalg.svd(start.T @ end)
     mirror = np.diag((1.0, 1.0, np.linalg.det(left @ right)))

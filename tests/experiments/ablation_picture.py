@@ -15,20 +15,20 @@ from .ablation import ANGLE, SPACING, VARIANTS, Ablation, drop_on_incline
 from .ball_picture import View, shade, to_srgb
 
 TIMES = (10 / 60, 18 / 60, 1.2)
-"""During the impact, shortly after, one second later [s]."""
+"""Times during the impact, shortly after, and one second later [s]."""
 ROW_NAMES = ("impact", "a moment later", "one second later")
 COLORS = ((0.13, 0.50, 0.16), (0.66, 0.09, 0.07), (0.09, 0.22, 0.68), (0.62, 0.07, 0.42))
-"""Of the variants, as in the paper's figure: green, red, blue, magenta."""
+"""Colors of the variants, as in the paper's figure: green, red, blue, magenta."""
 PANEL = (440, 330)
-"""Width and height of one picture [pixels]."""
-SHARPER = 2
-"""Pixels are drawn this many times finer, then averaged."""
+"""Width and height of one panel [pixels]."""
+SUPERSAMPLING = 2
+"""Supersampling factor along each axis."""
 INCLINE = (-0.085, 0.145, 0.085)
-"""Beginning, end and half breadth of the drawn incline [m]."""
+"""Start, end and half width of the drawn incline [m]."""
 
 
 def describe(result: Ablation) -> str:
-    """What happened, in a line."""
+    """Describe the outcome in one line."""
     if result.slide > 0.01:
         return f"slides: {result.slide * 1e2:.0f} cm in the last 0.4 s"
     if result.largest_piece < 0.9:
@@ -44,8 +44,8 @@ def draw_ablation(results: Sequence[Ablation], path: Path) -> None:
     """Draw the variants side by side, time from top to bottom.
 
     Args:
-        results: What `drop_on_incline` gave with `TIMES`, one a variant.
-        path: Where the PNG goes.
+        results: Results of `drop_on_incline` with `TIMES`, one per variant.
+        path: Path of the PNG file.
     """
     head, margin, gutter = 62, 26, 8
     step_right, step_down = PANEL[0] + gutter, PANEL[1] + gutter
@@ -53,11 +53,11 @@ def draw_ablation(results: Sequence[Ablation], path: Path) -> None:
     sheet = Image.new("RGB", size, "white")
     pen = ImageDraw.Draw(sheet)
     large, small = ImageFont.load_default(20), ImageFont.load_default(15)
-    # From the incline's coordinates to level ones.
+    # From the incline's coordinates to the world's.
     turn = np.array(
         [[np.cos(ANGLE), 0, np.sin(ANGLE)], [0, 1, 0], [-np.sin(ANGLE), 0, np.cos(ANGLE)]]
     )
-    finer = (PANEL[0] * SHARPER, PANEL[1] * SHARPER)
+    finer = (PANEL[0] * SUPERSAMPLING, PANEL[1] * SUPERSAMPLING)
     view = View(np.array((0.42, -0.78, 0.52)), np.array((0.026, 0.0, -0.012)), 0.262, finer)
     for column, (result, color) in enumerate(zip(results, COLORS, strict=False)):
         left = margin + step_right * column
@@ -89,7 +89,7 @@ def draw_ablation(results: Sequence[Ablation], path: Path) -> None:
 
 
 def run_ablation(*, model: str = "paper") -> list[Ablation]:
-    """All variants, with the positions that the picture shows."""
+    """Run all variants, with the positions that the picture shows."""
     return [drop_on_incline(variant, model=model, times=TIMES) for variant in VARIANTS]
 
 

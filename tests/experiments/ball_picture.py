@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of particles as shaded balls on an incline, with shadows, by numpy alone."""
+"""Pictures of particles as shaded balls on an incline, with shadows, drawn with NumPy alone."""
 
 import math
 
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 SUN = np.array((-0.35, -0.55, 0.76)) / np.linalg.norm((-0.35, -0.55, 0.76))
 """Direction to the light."""
 SKY = 0.42
-"""Light from everywhere, over that of the sun."""
+"""Ambient light, relative to the sun."""
 GRID = 0.02
-"""Distance of the lines on the incline [m]."""
+"""Spacing of the lines on the incline [m]."""
 
 
 class View:
@@ -19,8 +19,8 @@ class View:
 
     Args:
         toward: Direction from the scene to the eye, shape [3].
-        center: What is in the middle of the picture [m], shape [3].
-        width: Of what the picture shows [m].
+        center: Point at the center of the picture [m], shape [3].
+        width: Width of the visible region [m].
         size: Width and height of the picture [pixels].
     """
 
@@ -40,7 +40,7 @@ class View:
         self.scale = size[0] / width
 
     def project(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Column and row [pixels], and height towards the eye [m], shape [..., 3]."""
+        """Return column and row [pixels], and height towards the eye [m], shape [..., 3]."""
         offset = points - self.center
         return np.stack(
             [
@@ -61,7 +61,7 @@ class View:
 def draw_balls(
     view: View, points: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Height towards the eye [m], -inf where nothing is, and outward normals, of each pixel."""
+    """Return height towards the eye [m], -inf where empty, and outward normal of each pixel."""
     columns, rows = view.size
     height = np.full((rows, columns), -np.inf)
     normal = np.zeros((rows, columns, 3))
@@ -87,15 +87,15 @@ def draw_balls(
 def draw_incline(
     view: View, angle: float, box: tuple[float, float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """A wedge that falls towards +x.
+    """Draw a wedge that slopes down towards +x.
 
     Args:
-        view: How it is seen.
-        angle: Of the incline [rad].
-        box: Where it begins and ends along x, and half its breadth [m].
+        view: The projection.
+        angle: Angle of the incline [rad].
+        box: Start and end along x, and half width [m].
 
     Returns:
-        Height towards the eye [m], -inf where it is not, normals and linear colors, per pixel.
+        Height towards the eye [m], -inf where empty, normals and linear colors, per pixel.
     """
     begin, end, breadth = box
     foot = -end * math.tan(angle)
@@ -133,15 +133,15 @@ def shade(
     angle: float,
     box: tuple[float, float, float],
 ) -> NDArray[np.float64]:
-    """Light balls on an incline.
+    """Render balls on an incline.
 
     Args:
-        view: How they are seen.
-        points: Their middles [m], shape [N, 3].
-        radius: Theirs [m].
-        color: Theirs, linear RGB.
-        angle: Of the incline [rad].
-        box: As for `draw_incline`.
+        view: The projection.
+        points: Centers of the balls [m], shape [N, 3].
+        radius: Radius of the balls [m].
+        color: Color of the balls, linear RGB.
+        angle: Angle of the incline [rad].
+        box: See `draw_incline`.
 
     Returns:
         Linear RGB, shape [H, W, 3], on white.
@@ -167,7 +167,7 @@ def shade(
             lit += shadow_map[row, column] < spot[..., 2] + 0.35 * radius
     lit /= len(steps) ** 2
 
-    # Crevices get less of the sky: what lies deeper than its surroundings.
+    # Crevices, which lie deeper than their surroundings, get less ambient light.
     filled = np.where(seen, height, height[seen].min())
     hollow = _blurred(filled, max(2, round(1.2 * radius * view.scale))) - filled
     open_sky = np.clip(1.0 - 0.35 * hollow / radius, 0.35, 1.1)
@@ -182,7 +182,7 @@ def shade(
 
 
 def _blurred(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Mean over a square of 2 width + 1 pixels, twice."""
+    """Box blur with squares of 2 width + 1 pixels, twice."""
     for _ in range(2):
         for axis in (0, 1):
             room = [(width + 1, width) if side == axis else (0, 0) for side in (0, 1)]
@@ -195,7 +195,7 @@ def _blurred(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
 
 
 def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Linear light to the bytes of a picture."""
+    """Convert linear light to the bytes of an image."""
     value = np.clip(linear, 0.0, 1.0)
     coded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.round(255 * coded).astype(np.uint8)

@@ -14,16 +14,16 @@ from .shapes import block
 
 @dataclass(frozen=True)
 class Bounce:
-    """A rebound, and what the theory of a bar's impact says."""
+    """A rebound, compared with the theory of a bar's impact."""
 
     restitution: float
     """Speed after over speed before: 1 for an elastic bar in one dimension."""
     contact_time: float
-    """[s]"""
+    """Duration of contact [s]."""
     expected_time: float
     """2 H / c [s], c = √(E / ρ): a wave runs up the bar and back."""
     substep: float
-    """[s]: what the solver has to resolve that time with."""
+    """Length of a substep [s], which limits the resolution of that time."""
 
 
 def bounce(
@@ -34,14 +34,14 @@ def bounce(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Bounce:
-    """Let a bar that does not yield meet a table end on, without gravity and friction.
+    """Let a bar that does not yield hit a table end on, without gravity and friction.
 
     Args:
-        speed: Of the bar [m/s].
+        speed: Speed of the bar [m/s].
         counts: Particles along each axis.
         spacing: Particle spacing [m].
         material: The clay; its yield stress is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = replace(
         material or Material(shear_modulus=2e4),

@@ -17,14 +17,14 @@ class Compression:
     """Force on the upper plate while it moves."""
 
     force: float
-    """[N]"""
+    """Measured force [N]."""
     expected: float
-    """√3 τ_y A between smooth plates; (√3 τ_y + 2 τ_y R / 3 h) A where it sticks, A and R those
-    of the cylinder of the same volume [N] (upper bound of a sticking disc, Siebel)."""
+    """√3 τ_y A between smooth plates, (√3 τ_y + 2 τ_y R / 3 h) A between sticking ones [N]; A and R
+    are those of a cylinder of the same volume (upper bound of a sticking disc, Siebel)."""
     expected_uniaxial: float
     """√3 τ_y A [N]."""
     radius_ratio: float
-    """Radius of the upper half over what constant volume says."""
+    """RMS radius over that at constant volume."""
 
     @property
     def ratio(self) -> float:
@@ -46,14 +46,14 @@ def compress_cylinder(
     """Press a cylinder by ``strain`` of its height, without gravity.
 
     Args:
-        strain: How far, over the height.
-        sticking: Whether the plates hold the clay, or let it slide freely.
-        radius: Of the cylinder [m].
-        height: Of the cylinder [m].
-        speed: Of the plate [m/s].
+        strain: Compression over the height.
+        sticking: Whether the clay sticks to the plates or slides freely.
+        radius: Radius of the cylinder [m].
+        height: Height of the cylinder [m].
+        speed: Speed of the plate [m/s].
         spacing: Particle spacing [m].
-        material: The clay; 10 kPa and little viscosity where not given.
-        settings: Of the solver.
+        material: The clay; by default with 10 kPa and little viscosity.
+        settings: Solver settings.
     """
     material = material or Material(yield_stress=1e4, viscosity=20.0, shear_modulus=2e5)
     friction = 20.0 if sticking else 0.0
@@ -74,7 +74,7 @@ def compress_cylinder(
         lid.set_pose(at(0, 0, place + 0.01))
         solver.step(1 / 60)
         forces.append(float(solver.force_on(lid)[2]))
-    # The particles stand for this much clay; the lattice does not fill the cylinder exactly.
+    # From the particles' volume, because the lattice does not fill the cylinder exactly.
     area = len(points) * spacing**3 / place
     uniaxial = math.sqrt(3) * material.yield_stress * area
     extra = 2 * material.yield_stress * math.sqrt(area / math.pi) / (3 * place) * area

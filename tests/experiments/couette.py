@@ -25,7 +25,7 @@ class Couette:
     """Stress and strain of the middle of the slab, frame by frame."""
 
     material: Material
-    """What the slab is made of."""
+    """Material of the slab."""
     strain: np.ndarray
     """Shear strain."""
     rate: np.ndarray
@@ -62,18 +62,18 @@ def couette(
     """Shear a slab at about ``rate`` [1/s] up to about ``strain``.
 
     Args:
-        rate: Of the plate's motion over the distance of the outermost layers [1/s].
-        strain: At which to stop.
-        material: Its friction is replaced by a rough one.
-        spacing: Of the particles [m].
+        rate: Speed of the plates over the distance of the outermost layers [1/s].
+        strain: Strain at which to stop.
+        material: The clay; its friction is replaced by a high one.
+        spacing: Particle spacing [m].
         counts: Particles along, across and up.
-        squeeze: How far the plates are brought together first, in spacings; clay that is not
-            pressed may come off them.
-        frames: Steps to take; of 1/60 s each where not given.
-        jitter: How far particles start off their lattice, in spacings; the layers of a lattice
-            slide over one another with less resistance.
-        settings: Of the solver.
-        probe: Called after each step with the solver, which particles are in the middle, and
+        squeeze: How far the plates first press the clay together, in spacings; otherwise it may
+            detach from them.
+        frames: Number of steps; by default of 1/60 s each.
+        jitter: Largest random offset of particles from their lattice, in spacings; the layers of a
+            perfect lattice slide over one another with less resistance.
+        settings: Solver settings.
+        probe: Called after each step with the solver, a mask of the particles in the middle, and
             their strain, rate and stress.
     """
     material = material or Material()
@@ -134,7 +134,7 @@ def couette(
         gradient = np.polyfit(now[near, 2], (now - before)[near, 0], 1)[0]
         before = now
         shear += gradient
-        # The two middle plates are held back by the same stress.
+        # The same stress acts on the two middle plates.
         force = 0.5 * (solver.force_on(plates[0][1])[0] - solver.force_on(plates[3][1])[0])
         results.append((shear, gradient * steps / duration, force / area))
         if probe:

@@ -36,16 +36,16 @@ def drag(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Drag:
-    """Push a block with a paddle that has no friction of its own.
+    """Push a block with a frictionless paddle.
 
     Args:
-        friction: Of table and clay.
-        speed: Of the paddle [m/s].
+        friction: Friction coefficient of table and clay.
+        speed: Speed of the paddle [m/s].
         counts: Particles along each axis.
-        duration: Time to measure, after half a second of pushing [s].
+        duration: Duration of the measurement, after half a second of pushing [s].
         spacing: Particle spacing [m].
-        material: The clay; its friction has to be ``friction``.
-        settings: Of the solver.
+        material: The clay; its friction must be ``friction``.
+        settings: Solver settings.
     """
     material = material or Material(friction=friction)
     scene = Scene(spacing)
@@ -80,14 +80,14 @@ def drag(
 
 @dataclass(frozen=True)
 class Stop:
-    """A block that slides until friction has stopped it."""
+    """A block that slides until friction stops it."""
 
     distance: float
-    """[m]"""
+    """Sliding distance [m]."""
     expected: float
     """v² / 2 μ g [m] at the speed when measuring began."""
     speed_after: float
-    """Of its middle at the end [m/s]."""
+    """Speed of its center at the end [m/s]."""
 
 
 def stop(
@@ -102,12 +102,12 @@ def stop(
     """Send a resting block along a table; measure once the table carries it, after 1/60 s.
 
     Args:
-        speed: At the start [m/s].
-        friction: Of table and clay.
+        speed: Initial speed [m/s].
+        friction: Friction coefficient of table and clay.
         counts: Particles along each axis.
         spacing: Particle spacing [m].
-        material: The clay; its friction has to be ``friction``.
-        settings: Of the solver.
+        material: The clay; its friction must be ``friction``.
+        settings: Solver settings.
     """
     material = material or Material(friction=friction)
     scene = Scene(spacing)
@@ -118,7 +118,7 @@ def stop(
     solver.begin()
     solver.step(1 / 60)
     begin = solver.positions().astype(np.float64)
-    # Velocities are those of the middle of a substep (leapfrog).
+    # Velocities belong to the middle of a substep (leapfrog).
     half = 0.5 / 60 / solver.diagnostics().substeps
     begun = float(solver.velocities()[:, 0].mean()) - friction * GRAVITY * half
     for _ in range(math.ceil(1.5 * speed / (friction * GRAVITY) * 60) + 10):
@@ -142,17 +142,17 @@ def creep(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> float:
-    """Speed at which a block that sticks on an incline still moves down [m/s].
+    """Creep speed of a block that sticks on an incline [m/s].
 
     Args:
-        angle: Of the incline [rad], its tangent below ``friction``.
-        friction: Of incline and clay.
+        angle: Angle of the incline [rad], with a tangent below ``friction``.
+        friction: Friction coefficient of incline and clay.
         counts: Particles along each edge.
-        duration: Time to measure [s].
-        settle: Time before [s].
+        duration: Duration of the measurement [s].
+        settle: Time before it [s].
         spacing: Particle spacing [m].
-        material: The clay; its friction has to be ``friction``.
-        settings: Of the solver.
+        material: The clay; its friction must be ``friction``.
+        settings: Solver settings.
     """
     material = material or Material(friction=friction)
     scene = Scene(spacing, (GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Two blocks pressed into one, and split again along a knife."""
+"""Two blocks pressed into one, and split again by a knife."""
 
 from dataclasses import dataclass
 
@@ -15,22 +15,22 @@ from .shapes import at, block
 
 @dataclass(frozen=True)
 class Cut:
-    """What the knife made of a piece that two blocks had become."""
+    """The outcome of cutting the piece that two blocks had merged into."""
 
     pieces_before: int
     """Pieces once the blocks were pressed together: 1."""
     pieces_after: int
-    """Pieces of at least a twentieth of the clay, the knife taken away: 2."""
+    """Pieces of at least a twentieth of the clay after the knife is removed: 2."""
     debris: int
-    """Particles that belong to none of those."""
+    """Number of particles outside those pieces."""
     evenness: float
     """The smaller of the two largest pieces over the larger."""
     gap: float
-    """How much farther apart the halves' middles were once one was pushed aside [m]."""
+    """Increase of the distance between the halves' centers when one was pushed aside [m]."""
     push: float
     """How far the knife pushed one half [m]."""
     pulled_along: float
-    """How far the other half came along [m]."""
+    """How far the other half was dragged along [m]."""
 
 
 def cut(
@@ -44,18 +44,18 @@ def cut(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Cut:
-    """Press two blocks together side by side, drive a knife down the joint, push one half away.
+    """Press two blocks together, drive a knife down the joint, and push one half away.
 
     Args:
         counts: Particles of each block along each axis.
-        thickness: Of the blade, in spacings; it tapers to its edge over one spacing, which goes
-            into the table.
-        press_depth: By how much the two are pressed together [m].
-        speed: Of plates and knife [m/s].
-        push: How far the knife, once down, moves sideways [m].
+        thickness: Thickness of the blade, in spacings; it tapers to its edge over one spacing,
+            which goes into the table.
+        press_depth: How far the two are pressed together [m].
+        speed: Speed of plates and knife [m/s].
+        push: How far the knife then moves sideways [m].
         spacing: Particle spacing [m].
         material: The clay.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     size = np.array(counts) * spacing
     apart = 0.8 * spacing
@@ -135,7 +135,7 @@ def _middle(solver: Solver, chosen: NDArray[np.bool_]) -> float:
 def _blade(
     thickness: float, edge: float, width: float, height: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """A closed blade, its edge along y at the origin: a wedge first, then of even thickness."""
+    """A closed blade with its edge along y at the origin: a wedge, then constant thickness."""
     outline = np.array(
         [
             (0.0, 0.0),

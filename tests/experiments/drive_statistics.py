@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How well drives give foci their pressures, over many random sets of foci."""
+"""How accurately drives achieve the pressures of foci, over many random sets of foci."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from tactile_clay.tests.haptics.target_sets import Targets, random_targets
 
 @dataclass(frozen=True)
 class DriveStatistics:
-    """Achieved over wanted pressure, of all foci of all sets."""
+    """Ratio of achieved to wanted pressure, over all foci of all sets."""
 
     array: str
-    """What drives."""
+    """Description of the array."""
     method: str
-    """How."""
+    """Method of the drive solver."""
     mean: float
-    """Of achieved over wanted."""
+    """Mean ratio."""
     deviation: float
-    """Standard deviation of it, each set at its own mean: how well proportions are kept."""
+    """Standard deviation of the ratio over its mean in each set: how well proportions are kept."""
     uniformity: float
-    """1 − (max − min) / (max + min) of a set, mean of all sets (Di Leonardo 2007)."""
+    """1 − (max − min) / (max + min) of a set, averaged over all sets (Di Leonardo 2007)."""
     weakest: float
-    """Achieved over wanted that all but one in a hundred foci have."""
+    """First percentile of the ratio."""
     milliseconds: float
-    """Median processor time of a solve."""
+    """Median processor time of a solve [ms]."""
     ratios: NDArray[np.float64]
-    """Achieved over wanted of every focus."""
+    """Ratio for every focus."""
 
 
 def judge_drives(
     array: TransducerArray, name: str, method: str, targets: Sequence[Targets]
 ) -> DriveStatistics:
-    """Solve all sets and look at the field at their foci."""
+    """Solve all sets, and evaluate the field at their foci."""
     ratios, shapes, uniform, seconds = [], [], [], []
     for points, pressures in targets:
         begin = time.process_time()
@@ -64,14 +64,14 @@ def judge_drives(
 
 
 def judge_methods(count: int = 1000) -> list[DriveStatistics]:
-    """All methods on an ideal array: 16 × 16, any phase and amplitude."""
+    """Judge all methods on an ideal array: 16 × 16, any phase and amplitude."""
     ideal = TransducerArray.preset("stratos_explore")
     targets = random_targets(count)
     return [judge_drives(ideal, "any phase, any amplitude", m, targets) for m in METHODS]
 
 
 def judge_steps(count: int = 1000) -> list[DriveStatistics]:
-    """What phases and amplitudes in steps lose, on the same array."""
+    """Judge the loss from quantized phases and amplitudes on the same array."""
     ideal = TransducerArray.preset("stratos_explore")
     targets = random_targets(count)
     kinds = {
@@ -91,7 +91,7 @@ def judge_steps(count: int = 1000) -> list[DriveStatistics]:
 
 
 def judge_presets(count: int = 1000) -> list[DriveStatistics]:
-    """Every preset on sets of up to eight foci, as loud as it can give to eight."""
+    """Judge every preset on sets of up to eight foci, at pressures that it can reach."""
     results = []
     for name in TransducerArray.preset_names():
         array = TransducerArray.preset(name)

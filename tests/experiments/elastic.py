@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An elastic block, sheared and compressed little enough not to yield: what stiffness it has."""
+"""Stiffness of an elastic block, sheared and compressed without yielding."""
 
 from dataclasses import dataclass, replace
 
@@ -12,22 +12,22 @@ from tactile_clay.solver import Material, MeshCollider, Scene, Settings, Solver
 from .shapes import at, block
 
 UNYIELDING = 1e9
-"""A yield stress that nothing here reaches [Pa]."""
+"""A yield stress that is never reached [Pa]."""
 STIFFNESS_OVER_SHEAR = (2.5, 3.0)
-"""Young's modulus over the shear modulus, 2 (1 + ν): from ν = ¼, where the bonds alone act (a
-network of central forces), to ν = ½, where the pressure keeps the volume."""
+"""Young's modulus over the shear modulus, 2 (1 + ν): from ν = ¼, for bonds alone (a network of
+central forces), to ν = ½, when the pressure keeps the volume."""
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """A force, and what the modulus says it should be."""
+    """A force, and its expected value from the modulus."""
 
     force: float
-    """[N]"""
+    """Measured force [N]."""
     expected: float
-    """G γ A when sheared, E ε A when compressed, E by the middle of `STIFFNESS_OVER_SHEAR` [N]."""
+    """G γ A in shear; E ε A in compression, with the mean of `STIFFNESS_OVER_SHEAR` [N]."""
     returned: float
-    """Part of the deformation that went back when it was let go."""
+    """Fraction of the deformation that is recovered after release."""
 
     @property
     def ratio(self) -> float:
@@ -46,16 +46,16 @@ def shear(
 ) -> Elastic:
     """Shear a block between two plates that it sticks to, without gravity.
 
-    The plates press it together by ``squeeze`` first: contacts only push. Its free sides take
-    no part in the shear near them, so a block of finite width is a little softer than G γ A.
+    The plates first compress it by ``squeeze``, because contacts only push. Clay near the free
+    sides shears less, so a block of finite width is a little softer than G γ A.
 
     Args:
         strain: Motion of the upper plate over the height.
         counts: Particles along each axis.
         spacing: Particle spacing [m].
-        squeeze: Compression before, over the height.
+        squeeze: Compression before the shear, over the height.
         material: The clay; its yield stress is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = _unyielding(material)
     solver, plates, height, area = _between_plates(
@@ -95,7 +95,7 @@ def compress(
         counts: Particles along each axis.
         spacing: Particle spacing [m].
         material: The clay; its yield stress is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = _unyielding(material)
     solver, plates, height, area = _between_plates(
@@ -131,7 +131,7 @@ def _between_plates(
     friction: float,
     settings: Settings | None,
 ) -> tuple[Solver, list[MeshCollider], float, float]:
-    """A block that just touches a plate below and one above; its height [m] and area [m²]."""
+    """Make a block that just touches a plate below and above; also its height [m] and area [m²]."""
     scene = Scene(spacing, gravity=(0, 0, 0))
     scene.add_clay(block(counts, spacing), material)
     size = (2 * counts[0] * spacing, 2 * counts[1] * spacing, 0.02)
@@ -145,9 +145,9 @@ def _between_plates(
 
 
 def _deformation(solver: Solver, rest: NDArray[np.float32]) -> float:
-    """How far the particles are from their places in the shape at rest [m], root mean square.
+    """RMS distance of the particles from their positions in the rest shape [m].
 
-    Motions of the whole are taken off first (Kabsch 1976, doi 10.1107/S0567739476001873).
+    Rigid motion is removed first (Kabsch 1976, doi 10.1107/S0567739476001873).
     """
     before = rest.astype(np.float64) - rest.mean(0, dtype=np.float64)
     after = solver.positions().astype(np.float64)
@@ -160,7 +160,7 @@ def _deformation(solver: Solver, rest: NDArray[np.float32]) -> float:
 def _let_go(
     solver: Solver, lid: MeshCollider, place: tuple[float, float, float], height: float
 ) -> None:
-    """Take the lid away, and give the block half a second."""
+    """Remove the lid, and wait for half a second."""
     move_evenly(solver, lid, place, (place[0], place[1], place[2] + 0.2 * height), 3)
     for _ in range(30):
         solver.step(1 / 60)
@@ -173,7 +173,7 @@ def move_evenly(
     end: tuple[float, float, float],
     frames: int,
 ) -> None:
-    """Step while a mesh moves straight from one place to another [m]."""
+    """Step while a mesh moves evenly from one position to another [m]."""
     for frame in range(1, frames + 1):
         place = np.array(start) + (np.array(end) - np.array(start)) * (frame / frames)
         mesh.set_pose(at(*place))

@@ -12,14 +12,14 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class FreeFall:
-    """Depth fallen from rest."""
+    """Distance fallen from rest."""
 
     fallen: float
-    """[m]"""
+    """Distance fallen [m]."""
     expected: float
     """½ g t² [m]."""
     distortion: float
-    """Largest change of a particle's place in the block [m]."""
+    """Largest displacement of a particle within the block [m]."""
 
 
 def free_fall(duration: float = 0.5, *, settings: Settings | None = None) -> FreeFall:

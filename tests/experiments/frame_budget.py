@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the time of a frame of live sculpting goes, by the number of particles.
+"""Breakdown of a live sculpting frame's time, by number of particles.
 
-A soft hand, or a ball in the mouse's place, presses a block on a table in a session without a
-window; a simulated array lets the hand feel it. Run as a module of its own, for it needs bpy:
+A soft hand, or a ball instead of the mouse, presses a block on a table in a session without a
+window, with a simulated ultrasound array. Run in its own process, because it needs bpy:
 ``python -m tactile_clay.tests.experiments.frame_budget``.
 """
 
@@ -20,7 +20,7 @@ import trimesh
 from numpy.typing import NDArray
 
 SPACINGS = (0.005, 0.004, 0.0023, 0.00136)
-"""Of a block of some 65 mm [m]: about 2,000, 4,000, 20,000 and 100,000 particles."""
+"""Particle spacings [m]: about 2,000, 4,000, 20,000 and 100,000 particles."""
 BLOCK = 0.063
 """Edge of the block [m]."""
 _PARTS = ("simulate", "feed", "touch", "write", "surface", "evaluate")
@@ -32,25 +32,25 @@ class FrameCost:
 
     particle_count: int
     worker: str
-    """What works the clay."""
+    """What presses the clay."""
     simulate: float
-    """The solver's step of 1/60 s, on its own thread."""
+    """Solver step of 1/60 s, on its own thread."""
     feed: float
-    """Telling the solver where hands and colliders are."""
+    """Passing the poses of hands and colliders to the solver."""
     touch: float
-    """From the contacts on the hand to focal points."""
+    """Computing focal points from the contacts on the hand."""
     write: float
-    """The points, into Blender's."""
+    """Writing the points into Blender."""
     surface: float
-    """The live surface: its share of Blender's thread."""
+    """Live surface: time on Blender's thread."""
     making: float
-    """The live surface: making it, on a thread of its own."""
+    """Live surface: reconstruction, on its own thread."""
     evaluate: float
-    """Blender's own evaluation of what has changed; drawing it is the graphics card's matter."""
+    """Blender's evaluation of the changes, without drawing."""
 
 
 class Ball:
-    """A ball of 12 mm that goes up and down."""
+    """A ball of 12 mm radius that moves up and down."""
 
     mesh_key = "ball"
     stroking = True
@@ -60,7 +60,7 @@ class Ball:
         self._time = 0.0
 
     def meshes(self) -> list[Any]:
-        """The ball."""
+        """Return the ball's mesh."""
         from tactile_clay.clay_addon.core.tools.settings import ToolMesh
 
         ball = trimesh.creation.icosphere(3, 0.012)
@@ -69,19 +69,19 @@ class Ball:
     def poses(
         self, duration: float, positions: NDArray[np.float32]
     ) -> list[tuple[NDArray[np.float64], bool]]:
-        """Down by a centimeter and up again, each second."""
+        """Move down by a centimeter and up again each second."""
         self._time += duration
         pose = np.eye(4)
         pose[2, 3] = self._top + 0.012 - 0.005 * (1.0 - np.cos(2.0 * np.pi * self._time))
         return [(pose, True)]
 
     def take_edits(self) -> list[Any]:
-        """None."""
+        """Return no edits."""
         return []
 
 
 def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
-    """Sculpt for some simulated time, in this process's Blender."""
+    """Sculpt for some simulated time in this process's Blender."""
     import bpy
 
     from tactile_clay.clay_addon.clay.make_clay import make_clay
@@ -98,7 +98,7 @@ def measure(spacing: float, *, hand: bool, seconds: float = 1.5) -> FrameCost:
     make_collider(context.object)
     item = None
     if hand:
-        # The palm's middle is over the block, flat and just above it.
+        # The palm is centered over the block, flat and just above it.
         item = add_hand(context, "right").parent
         add_array(context, "sonicsurface")
         context.view_layer.update()
@@ -134,16 +134,16 @@ def _lowest(context: Any, armature: Any) -> float:
 
 
 def budget_lines() -> list[str]:
-    """Measure in a process of its own; lines of Markdown."""
+    """Measure in a separate process, and return lines of Markdown."""
     command = [sys.executable, "-m", "tactile_clay.tests.experiments.frame_budget"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = [FrameCost(**row) for row in json.loads(done.stdout.splitlines()[-1])]
     lines = [
-        "Median milliseconds of a frame of 1/60 s while a ball, or a soft hand, presses a block. "
-        "The solver and the making of the surface have threads of their own; the rest is Blender's "
+        "Median milliseconds per frame of 1/60 s while a ball or a soft hand presses a block. The "
+        "solver and the surface reconstruction have their own threads; the rest runs on Blender's "
         "thread.",
         "",
-        "| particles | what presses | simulation | tell | touch | write | show surface | evaluate "
+        "| particles | tool | simulation | feed | touch | write | show surface | evaluate "
         "| surface (own thread) |",
         "|---" * 9 + "|",
     ]
@@ -156,7 +156,7 @@ def budget_lines() -> list[str]:
 
 
 def main() -> None:
-    """Measure all, and print one line of JSON."""
+    """Measure everything, and print one line of JSON."""
     import tactile_clay
 
     tactile_clay.register()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a soft hand costs a frame, against its number of tetrahedra."""
+"""Cost of a soft hand per frame, against its number of tetrahedra."""
 
 import statistics
 import time
@@ -18,7 +18,7 @@ from .hand_shapes import posed, slab
 from .shapes import at, block
 
 EDGES = (0.016, 0.0125, 0.0095, 0.0075)
-"""Cells of the lattices that the table compares [m]."""
+"""Cell edges of the lattices that the table compares [m]."""
 LIVE_FRAME = 1e3 / 60
 """[ms]"""
 _PARTS = ("plan", "begin_step", "begin_substep", "gather", "measure_compliance", "end_step")
@@ -26,27 +26,27 @@ _PARTS = ("plan", "begin_step", "begin_substep", "gather", "measure_compliance",
 
 @dataclass(frozen=True)
 class HandCost:
-    """What a hand takes of a frame in which it presses clay."""
+    """Cost of a hand in a frame in which it presses clay."""
 
     nodes: int
     tetrahedra: int
     vertices: int
-    """Of the skin."""
+    """Number of skin vertices."""
     contacts: int
-    """Particles that push."""
+    """Number of particles in contact."""
     hand: float
-    """Processor time of the hand [ms], median of frames."""
+    """Processor time of the hand [ms], median over frames."""
     frame: float
-    """Of the whole frame [ms]."""
+    """Time of the whole frame [ms]."""
 
     @property
     def share(self) -> float:
-        """Part of a live frame that the hand takes."""
+        """Fraction of a live frame that the hand takes."""
         return self.hand / LIVE_FRAME
 
 
 class _Meter:
-    """Sums up the processor time spent in some methods."""
+    """Sums the processor time spent in a hand's methods."""
 
     def __init__(self, soft: SoftHand) -> None:
         self.spent = 0.0
@@ -77,10 +77,10 @@ def measure_cost(
 
     Args:
         rig: The hand.
-        pose: Where it is in the beginning, from its rest pose, shape [4, 4]; just above the clay.
-        travel: How far it goes down [m].
-        frames: In how many frames; the last half counts.
-        hold_stiffness: Of its joints [N/m].
+        pose: Initial pose relative to the rest pose, just above the clay, shape [4, 4].
+        travel: How far it moves down [m].
+        frames: Number of frames; the last half is counted.
+        hold_stiffness: Stiffness of its hold [N/m].
     """
     scene = Scene(0.005)
     scene.add_clay(block((20, 20, 8), 0.005), Material())
@@ -109,7 +109,7 @@ def measure_cost(
 
 
 def cost_table(edges: tuple[float, ...] = EDGES) -> list[HandCost]:
-    """Measure palms of finer and finer lattices, which face down."""
+    """Measure downward-facing palms with ever finer lattices."""
     face_down = np.diag([1.0, -1.0, -1.0, 1.0])
     return [
         measure_cost(slab(edge, size=(0.09, 0.1, 0.03)), at(0, 0, 0.041) @ face_down)
@@ -120,7 +120,7 @@ def cost_table(edges: tuple[float, ...] = EDGES) -> list[HandCost]:
 def cost_lines() -> list[str]:
     """The table in Markdown."""
     lines = [
-        "| nodes | tetrahedra | skin | contacts | hand, ms a frame | of 1/60 s | whole frame, ms |",
+        "| nodes | tetrahedra | skin | contacts | hand, ms/frame | of 1/60 s | whole frame, ms |",
         "|---|---|---|---|---|---|---|",
     ]
     lines += [

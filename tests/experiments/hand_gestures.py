@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What soft fingers do to clay: a pinch that tears a piece off."""
+"""Gestures of soft fingers: a pinch that tears off a piece of clay, and a dent."""
 
 from dataclasses import dataclass
 
@@ -17,18 +17,18 @@ SPACING = 0.005
 
 @dataclass(frozen=True)
 class Pinch:
-    """What was left of clay after two fingers pinched it and went away."""
+    """The clay after two fingers pinched it and moved away."""
 
     lifted: int
-    """Particles that went along with the fingers."""
+    """Number of particles lifted with the fingers."""
     stayed: int
-    """Particles that stayed on the table."""
+    """Number of particles left on the table."""
     pieces: int
-    """Pieces of more than two particles."""
+    """Number of pieces of more than two particles."""
     grip: float
-    """Force of one finger on the other through the clay, when closed [N]."""
+    """Force of one finger on the other through the clay when closed [N]."""
     imbalance: float
-    """How much the two forces differ, over the grip."""
+    """Difference of the two forces, over the grip."""
 
 
 def pinch(
@@ -43,8 +43,8 @@ def pinch(
     Args:
         material: The clay.
         rig: A finger of 8 mm radius, its tip at the origin.
-        hold_stiffness: Of its joints [N/m].
-        settings: How finely to work.
+        hold_stiffness: Stiffness of its hold [N/m].
+        settings: Solver settings.
     """
     rig = rig or finger(0.008)
     scene = Scene(SPACING)
@@ -88,14 +88,14 @@ def pinch(
 
 @dataclass(frozen=True)
 class Dent:
-    """What a pressed finger left in clay."""
+    """The dent of a pressed finger."""
 
     width: float
-    """Of the dent at half of its depth [m]."""
+    """Width of the dent at half its depth [m]."""
     depth: float
-    """[m]"""
+    """Depth of the dent [m]."""
     rim: float
-    """How far the clay around it rose, mean over a ring as wide as the finger [m]."""
+    """Mean rise of the clay in a surrounding ring as wide as the finger [m]."""
 
 
 def dent(
@@ -106,14 +106,14 @@ def dent(
     spacing: float = 0.004,
     settings: Settings | None = None,
 ) -> Dent:
-    """Press a finger into a block of clay, take it away, and measure the dent.
+    """Press a finger into a block of clay, lift it, and measure the dent.
 
     Args:
-        depth: How far the bone goes beyond first touch [m].
+        depth: How far the bone moves beyond first touch [m].
         rig: A finger of 8 mm radius, its tip at the origin.
         material: The clay.
-        spacing: Of its particles [m].
-        settings: How finely to work.
+        spacing: Particle spacing [m].
+        settings: Solver settings.
     """
     rig = rig or finger(0.008)
     across, high = round(0.056 / spacing), round(0.032 / spacing)

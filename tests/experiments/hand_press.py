@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A soft fingertip pressed flat and into clay: force against stiffness, substeps and resolution."""
+"""A soft fingertip pressed on a plate and into clay: effects of stiffness, substeps and lattice."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from .shapes import at, block
 
 YOUNG_MODULUS = 5e4
 _PENALTY = 1.2e8
-"""How stiffly the plate pushes ghosts out [Pa/m]: they enter it by a tenth of a millimeter."""
+"""Stiffness with which the plate pushes ghosts out [Pa/m]; they enter by 0.1 mm."""
 
 
 def press_flat(
@@ -29,15 +29,15 @@ def press_flat(
 ) -> float:
     """Press a fingertip of 8 mm radius onto a rigid plate without friction.
 
-    Ghosts in the plate are pushed out by a penalty, and flesh and penalty solved for in turns
-    until they agree: no clay and no time step have a part in it.
+    Ghosts in the plate are pushed out by a penalty; flesh and penalty are solved for alternately
+    until they agree, without clay or time steps.
 
     Args:
-        depth: How far the bone goes beyond first touch [m].
-        edge: Of the lattice's cells [m].
-        young_modulus: Of the flesh [Pa].
-        iterations: Of conjugate gradients in a solve.
-        rounds: Solves.
+        depth: How far the bone moves beyond first touch [m].
+        edge: Cell edge of the lattice [m].
+        young_modulus: Young's modulus of the flesh [Pa].
+        iterations: Conjugate-gradient iterations per solve.
+        rounds: Number of solves.
 
     Returns:
         The force [N].
@@ -70,16 +70,16 @@ def press_flat(
 
 @dataclass(frozen=True)
 class FingerPress:
-    """What a finger pressed into clay felt."""
+    """Forces on a finger pressed into clay."""
 
     force_moving: float
-    """Mean over the last fifth of the way [N]."""
+    """Mean over the last fifth of the motion [N]."""
     force_held: float
-    """A third of a second later [N]."""
+    """Force a third of a second later [N]."""
     tip_depth: float
-    """How far the skin went into the clay [m]."""
+    """Depth of the skin in the clay [m]."""
     unsteadiness: float
-    """Standard deviation of the force in the last eight frames of that, over the force."""
+    """Standard deviation of the force over its mean in the last eight frames."""
 
 
 def press_clay(
@@ -96,14 +96,14 @@ def press_clay(
     """Press a finger into a block of 50 x 50 x 40 mm and hold it there.
 
     Args:
-        depth: How far the bone goes beyond first touch [m].
+        depth: How far the bone moves beyond first touch [m].
         rig: The finger, its tip at the origin.
-        young_modulus: Of its flesh [Pa].
-        hold_stiffness: Of its joints [N/m].
-        speed: [m/s]
-        spacing: Of the clay's particles [m].
-        material: Of the clay.
-        settings: How finely to work.
+        young_modulus: Young's modulus of its flesh [Pa].
+        hold_stiffness: Stiffness of its hold [N/m].
+        speed: Speed of the press [m/s].
+        spacing: Particle spacing [m].
+        material: The clay.
+        settings: Solver settings.
     """
     rig = rig or finger(0.008)
     across, high = round(0.05 / spacing), round(0.04 / spacing)
@@ -141,7 +141,7 @@ _FLAT_DEPTHS = (0.001, 0.002, 0.003)
 
 
 def press_lines() -> list[str]:
-    """Forces against stiffness, lattice and substeps, in Markdown."""
+    """Tables of forces by stiffness, lattice and substeps, in Markdown."""
     header = " | ".join(f"{1e3 * depth:.0f} mm" for depth in _FLAT_DEPTHS)
     lines = [
         "Flat press of a fingertip, force [N] by depth:",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigs of simple shapes for experiments with soft hands: a finger, a slab."""
+"""Rigs with simple shapes for experiments with soft hands: a finger and a slab."""
 
 import numpy as np
 import trimesh
@@ -12,7 +12,7 @@ from tactile_clay.solver.hand.rig import HandRig
 
 @wp.kernel(enable_backward=False)
 def find_inside(mesh: wp.uint64, points: wp.array[wp.vec3], inside: wp.array[int]) -> None:
-    """Tell which points lie inside of a mesh."""
+    """Mark the points inside a mesh."""
     i = wp.tid()
     query = wp.mesh_query_point_sign_winding_number(mesh, points[i], 1.0)
     if query.result and query.sign < 0.0:
@@ -65,12 +65,12 @@ def lattice(
 
 
 def _face_corners(ring: NDArray) -> list[NDArray]:
-    """The four corners of the faces between cells, in turn."""
+    """The four corners of the faces between cells, in order."""
     return [ring[:, :-1, :-1], ring[:, 1:, :-1], ring[:, 1:, 1:], ring[:, :-1, 1:]]
 
 
 def is_inside(vertices: NDArray, faces: NDArray, points: NDArray) -> NDArray[np.bool_]:
-    """Tell which points lie inside of a closed mesh, shape [P]."""
+    """Whether each point lies inside a closed mesh, shape [P]."""
     mesh = wp.Mesh(
         points=wp.array(vertices, dtype=wp.vec3, device="cpu"),
         indices=wp.array(np.asarray(faces).ravel(), dtype=int, device="cpu"),
@@ -85,19 +85,19 @@ def is_inside(vertices: NDArray, faces: NDArray, points: NDArray) -> NDArray[np.
 def embed(
     points: NDArray, nodes: NDArray, tetrahedra: NDArray
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Find the tetrahedron around each point, or the one it is least far out of."""
+    """Find the tetrahedron around or closest to each point, and its barycentric weights."""
     corners = nodes[tetrahedra]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     middle = corners.mean(1)
-    which = np.zeros(len(points), np.int32)
+    index = np.zeros(len(points), np.int32)
     weights = np.zeros((len(points), 4))
     for row, point in enumerate(points):
         near = np.argsort(((middle - point) ** 2).sum(1), kind="stable")[:40]
         part = np.einsum("tij,tj->ti", inverse[near], point - corners[near, 0])
         whole = np.column_stack([1.0 - part.sum(1), part])
         best = int(whole.min(1).argmax())
-        which[row], weights[row] = near[best], whole[best]
-    return which, weights
+        index[row], weights[row] = near[best], whole[best]
+    return index, weights
 
 
 def bind(
@@ -109,26 +109,26 @@ def bind(
     tetrahedra: NDArray,
     ghost_spacing: float,
 ) -> HandRig:
-    """Put a rig together.
+    """Assemble a rig.
 
     Args:
         skin: The skin.
         heads: Heads of the bones [m], shape [B, 3].
-        parents: Of each bone.
+        parents: Parent of each bone, -1 for a root.
         weights: How much each bone carries each node, shape [N, B].
-        nodes: Of the flesh [m], shape [N, 3].
-        tetrahedra: Of the flesh, shape [T, 4].
-        ghost_spacing: [m]
+        nodes: Nodes of the flesh [m], shape [N, 3].
+        tetrahedra: Tetrahedra of the flesh, shape [T, 4].
+        ghost_spacing: Spacing of the ghosts [m].
     """
     vertices, faces = np.asarray(skin.vertices), np.asarray(skin.faces, np.int32)
     bone_rest = np.tile(np.eye(4), (len(heads), 1, 1))
     bone_rest[:, :3, 3] = heads
-    most = min(4, weights.shape[1])
-    bones = np.argsort(-weights, axis=1, kind="stable")[:, :most]
+    bone_count = min(4, weights.shape[1])
+    bones = np.argsort(-weights, axis=1, kind="stable")[:, :bone_count]
     shares = np.take_along_axis(weights, bones, 1)
     shares = shares / shares.sum(1, keepdims=True)
-    bones = np.pad(bones, ((0, 0), (0, 4 - most)))
-    shares = np.pad(shares, ((0, 0), (0, 4 - most)))
+    bones = np.pad(bones, ((0, 0), (0, 4 - bone_count)))
+    shares = np.pad(shares, ((0, 0), (0, 4 - bone_count)))
     ghosts = rasterize_ghosts(vertices, faces, ghost_spacing)
     vertex_tetrahedron, vertex_weights = embed(vertices, nodes, tetrahedra)
     ghost_tetrahedron, ghost_weights = embed(ghosts.positions(vertices, faces), nodes, tetrahedra)
@@ -160,7 +160,7 @@ def finger(
     length: float = 0.05,
     ghost_spacing: float = 0.0025,
 ) -> HandRig:
-    """A finger that points down: two bones along its axis, its tip at the origin."""
+    """A finger that points down: three bones along its axis, its tip at the origin."""
     skin = trimesh.creation.capsule(height=length - 2 * radius, radius=radius, count=(24, 24))
     skin.apply_translation((0, 0, radius - skin.bounds[0, 2] - radius))
     vertices, faces = trimesh.remesh.subdivide_to_size(skin.vertices, skin.faces, 0.005)
@@ -198,5 +198,5 @@ def slab(
 
 
 def posed(rig: HandRig, pose: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Bones of a rig that moves as a whole, from its rest pose."""
+    """Bone poses of a rig moved rigidly from its rest pose."""
     return {name: pose @ rest for name, rest in zip(rig.bone_names, rig.bone_rest, strict=True)}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes that break simulations, and what happens in each: a table for the report.
+"""Scenes that tend to break simulations, and their outcomes: a table for the report.
 
-A case passes when every state stays finite, nothing is thrown faster than twice what went in, and
-the clay comes to rest again. What the solver had to clamp, quarantine or leave out is counted.
+A case passes if every state stays finite, no particle exceeds twice the input speed, and the clay
+comes to rest again. Whatever the solver had to clamp, quarantine or drop is counted.
 """
 
 from collections.abc import Callable
@@ -64,7 +64,7 @@ def doubled() -> HardCase:
 
 
 def crowded() -> HardCase:
-    """Crowd a hundred particles where eight belong: rows run over, and that is counted."""
+    """Crowd a hundred particles into the space of eight: rows overflow, which is counted."""
     points = np.random.default_rng(0).uniform(-1, 1, (100, 3)) * SPACING + np.array((0, 0, 0.03))
     return survive(on_table(points), 60, calm=0.05, note="100 particles in 8 d³")
 
@@ -76,7 +76,7 @@ def impact(speed: float = 20.0) -> HardCase:
 
 
 def long_step(step: float = 0.1) -> HardCase:
-    """Step by a tenth of a second at once, pushed by a tool meanwhile."""
+    """Take steps of a tenth of a second while a tool pushes."""
     scene = on_table(block(6, SPACING, (0, 0, 0.01)))
     sphere = ball(0.01)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
@@ -89,7 +89,7 @@ def long_step(step: float = 0.1) -> HardCase:
 
 
 def stretched(ratio: float = 10.0) -> HardCase:
-    """Tear a bar to ten times its length: ends fly apart with all between them."""
+    """Tear a bar to ten times its length, with velocities proportional to position."""
     points = block((12, 4, 4), SPACING)
     half = 6 * SPACING
     speed = 0.5 * (ratio - 1) * 2 * half / 0.1
@@ -129,7 +129,7 @@ def hundred_g() -> HardCase:
 
 
 def particle_not_finite() -> HardCase:
-    """Make velocities NaN in the running state: those particles are held and counted."""
+    """Make velocities non-finite in a running simulation: those particles are held and counted."""
     solver = Solver(on_table(block(5, SPACING)))
     solver.begin()
     solver.step(1 / 60)
@@ -154,7 +154,7 @@ def particle_not_finite() -> HardCase:
 
 
 def deterministic() -> HardCase:
-    """Run the same scene twice, and once more from a snapshot: the same bits."""
+    """Run the same scene twice, and again from a snapshot: all yield the same bits."""
 
     def make() -> Solver:
         points = np.random.default_rng(5).uniform(-0.012, 0.012, (150, 3)) + np.array((0, 0, 0.02))
@@ -179,8 +179,8 @@ def deterministic() -> HardCase:
         bool(np.isfinite(one.positions()).all()),
         0.0,
         same and resumed,
-        f"again: {'same' if same else 'other'} bits; "
-        f"from a snapshot: {'same' if resumed else 'other'} bits",
+        f"again: {'same' if same else 'different'} bits; "
+        f"from a snapshot: {'same' if resumed else 'different'} bits",
     )
 
 
@@ -189,14 +189,14 @@ def far_from_origin(distance: float = 10.0) -> HardCase:
     scene = Scene(SPACING)
     scene.add_clay(block(5, SPACING, (distance, distance, distance)), Material())
     scene.add_plane((0, 0, distance))
-    return survive(scene, 90, note=f"{distance:g} m off on each axis")
+    return survive(scene, 90, note=f"{distance:g} m from the origin on each axis")
 
 
 def scaled(scale: float) -> HardCase:
-    """Let a cylinder slump at another scale of length: the same to a percent of its height.
+    """Let a cylinder slump at another length scale: the result agrees to a percent of its height.
 
-    Time stays and everything else scales with it (gravity with s, stresses with s², viscosity
-    with s²), so the numbers without dimension are the same, and the solver's steps too.
+    Time is unchanged and everything else scales along (gravity with s, stresses and viscosity with
+    s²), so the dimensionless numbers are the same, and so are the solver's steps.
     """
     heights = []
     results = []
@@ -227,15 +227,15 @@ def scaled(scale: float) -> HardCase:
         )
     return replace(
         results[1],
-        note=f"center at {heights[1]:.4f} of its height before, {heights[0]:.4f} at scale 1",
+        note=f"center at {heights[1]:.4f} of its initial height, {heights[0]:.4f} at scale 1",
     )
 
 
 def idle(steps: int = 3000) -> HardCase:
-    """Leave a small block on a table for thousands of steps: nothing grows, nothing creeps.
+    """Leave a small block on a table for thousands of steps: it neither accelerates nor creeps.
 
     Args:
-        steps: How many; a million where sleeping clay costs nothing.
+        steps: Number of steps; could be a million, since sleeping clay costs nothing.
     """
     solver = Solver(on_table(block(3, SPACING)))
     solver.begin()
@@ -260,7 +260,7 @@ def idle(steps: int = 3000) -> HardCase:
 
 
 def extreme_material(name: str, material: Material) -> HardCase:
-    """Drop a block of a material at the end of a range."""
+    """Drop a block of an extreme material."""
     return survive(on_table(block(5, SPACING, (0, 0, 0.02)), material), 120, calm=0.05, note=name)
 
 
@@ -272,7 +272,7 @@ CASES: list[tuple[str, Callable[[], HardCase]]] = [
     ("isolated particle in free fall", falls_freely),
     ("all particles at one point", coincident),
     ("every particle twice", doubled),
-    ("slots run over", crowded),
+    ("slots overflow", crowded),
     ("plates to 30 %, then 5 %", two_plates),
     ("impact at 20 m/s", impact),
     ("steps of .1 s", long_step),
@@ -310,4 +310,4 @@ CASES: list[tuple[str, Callable[[], HardCase]]] = [
     ("very soft", lambda: extreme_material("G 100 Pa", Material(shear_modulus=100.0))),
     ("without cohesion", lambda: extreme_material("no tension", Material(cohesion=0.0))),
 ]
-"""Name of each case, and what runs it."""
+"""Name of each case, and the function that runs it."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases that tools make: too fast, too thin, in the wrong place."""
+"""Hard cases with tools: too fast, too thin, in the wrong place."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def two_plates() -> HardCase:
             height = max(stops[0] - speed * (frame - down[0] - 10) / 60, stops[1])
         plate.set_pose(at(0, 0, height + 0.01))
 
-    # What the clay has to do between the plates: v L / 2 h of the squeezed width, at 5 %.
+    # Outflow speed of the clay between the plates: v L / 2 h with the squeezed width, at 5 %.
     outward = speed * 0.5 * (7 * SPACING / 0.05**0.5) / stops[1]
     return survive(scene, down[1] + 40, speed_in=max(outward, RELEASE_SPEED), drive=drive)
 
@@ -48,7 +48,7 @@ def tool_jumps_inside() -> HardCase:
 
 
 def inside_a_tool() -> HardCase:
-    """Begin with a block entirely inside a box."""
+    """Start with a block entirely inside a box."""
     scene = on_table(block(5, SPACING, (0, 0, 0.02)))
     box = trimesh.creation.box((0.06, 0.06, 0.06))
     scene.add_mesh(box.vertices, box.faces).set_pose(at(0, 0, 0.03))
@@ -56,7 +56,7 @@ def inside_a_tool() -> HardCase:
 
 
 def flat_tool() -> HardCase:
-    """Offer a tool of two coincident opposite faces: refused in words."""
+    """Add a tool of two coincident opposite faces: refused with a message."""
     scene = on_table(block(4, SPACING))
     square = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * 0.02
     faces = [(0, 1, 2), (0, 2, 3), (2, 1, 0), (3, 2, 0)]
@@ -64,7 +64,7 @@ def flat_tool() -> HardCase:
         scene.add_mesh(square, faces)
     except MeshError as error:
         return survive(scene, 30, note=f"refused: {error}")
-    return survive(scene, 30, note="taken as a collider")
+    return survive(scene, 30, note="accepted as a collider")
 
 
 def thin_tool(thickness: float = 1e-6) -> HardCase:
@@ -81,7 +81,7 @@ def thin_tool(thickness: float = 1e-6) -> HardCase:
 
 
 def fast_tool(speed: float = 20.0) -> HardCase:
-    """Shoot a ball through a block, to stand still behind it."""
+    """Shoot a ball through a block, and stop it behind."""
     scene = on_table(block(8, SPACING))
     sphere = ball(0.01)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
@@ -95,7 +95,7 @@ def fast_tool(speed: float = 20.0) -> HardCase:
 
 
 def tool_pose_not_finite() -> HardCase:
-    """Set poses and vertices that are not finite: refused, the last good ones are held."""
+    """Set poses and vertices that are not finite: refused, and the last good ones are kept."""
     scene = on_table(block(4, SPACING))
     sphere = ball(0.01)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
@@ -118,6 +118,4 @@ def tool_pose_not_finite() -> HardCase:
 
     result = survive(scene, 30, drive=drive)
     held = bool(np.array_equal(tool.pose, good)) and refused == 60
-    return replace(
-        result, recovered=result.recovered and held, note=f"{refused} of 60 refused in words"
-    )
+    return replace(result, recovered=result.recovered and held, note=f"{refused} of 60 refused")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the surface of clay costs while it is worked, and how far it is from a ball and a block."""
+"""Cost of the clay's surface while it is worked, and its distance from a ball and a block."""
 
 from __future__ import annotations
 
@@ -20,45 +20,45 @@ SIZES = {
     "20k": (27, 27, 27),
     "100k": (50, 50, 40),
 }
-"""Particles along each side of the blocks."""
+"""Number of particles along each side of the blocks."""
 DISORDER = 0.08
-"""Of worked clay: standard deviation of each coordinate [particle distances]."""
-LARGEST_EXACT = 20_000
-"""Surfaces of more particles are not made exactly, to compare: that takes too long."""
+"""Disorder of worked clay: standard deviation of each coordinate, in spacings."""
+MAX_EXACT = 20_000
+"""Largest number of particles for which the exact surface is made for comparison."""
 
 
 @dataclass(frozen=True)
 class SurfaceFigures:
-    """Cost and error of surfaces of so many particles. Lengths in particle distances."""
+    """Cost and error of surfaces of one size, with lengths in spacings."""
 
     size: str
     particles: int
     vertices: int
     ms_median: float
-    """Of a frame in which all clay moves, on one thread."""
+    """Time of a frame in which all clay moves, on one thread."""
     ms_p90: float
     core_ms: float
-    """Processor time of the thread, which other work on the machine changes less."""
+    """Processor time of the thread, less affected by other work on the machine."""
     still_ms: float
-    """Of a frame in which nothing moves."""
+    """Time of a frame in which nothing moves."""
     write_ms: float | None
-    """Of writing it into a Blender mesh, on Blender's own thread; None without Blender."""
+    """Time to write it into a Blender mesh, on Blender's thread; None without Blender."""
     exact_ms: float | None
-    """Of the exact surface, to compare."""
+    """Time of the exact surface, for comparison; None if not made."""
     ball_volume: float
-    """Over the particles' volume."""
+    """Volume of the ball's surface over that of the particles."""
     ball_distance: float
-    """Root mean square of the vertices' distance from the ball."""
+    """RMS distance of the vertices from the ball."""
     block_volume: float
     block_distance: float
 
 
 def measure_surface(size: str, *, frames: int = 15) -> SurfaceFigures:
-    """Time surfaces of a block in which a wave runs, and judge those of a ball and a block.
+    """Time surfaces of a block with a running wave, and judge those of a ball and a block.
 
     Args:
         size: One of `SIZES`.
-        frames: How many are timed.
+        frames: Number of timed frames.
     """
     counts = SIZES[size]
     block = _lattice(*counts)
@@ -75,7 +75,7 @@ def measure_surface(size: str, *, frames: int = 15) -> SurfaceFigures:
         core.append(1e3 * (time.thread_time() - busy))
     still = _milliseconds(lambda: quick.reconstruct(points, colors), 5)
     exact = None
-    if len(block) <= LARGEST_EXACT:
+    if len(block) <= MAX_EXACT:
         exact = _milliseconds(lambda: reconstruct(points, 1.0, colors=colors), 1)
     ball = _ball(len(block))
     round_one = quick.reconstruct(ball + noise, colors)
@@ -100,12 +100,12 @@ def measure_surface(size: str, *, frames: int = 15) -> SurfaceFigures:
 
 
 def surface_lines(results: list[SurfaceFigures]) -> list[str]:
-    """A table of them in Markdown."""
+    """Table of the results in Markdown."""
     lines = [
         "A block in which all clay moves, on one thread; errors are those of a ball and a block of "
-        "so many particles, disordered by 0.08 of their distance d.",
+        "as many particles, disordered by 0.08 of their spacing d.",
         "",
-        "| particles | ms a surface | core-ms | nothing moves | into Blender | exact surface "
+        "| particles | ms per surface | core-ms | nothing moves | into Blender | exact surface "
         "| ball: volume, distance | block: volume, distance |",
         "|---" * 8 + "|",
     ]
@@ -163,7 +163,7 @@ def _lattice(*counts: int) -> NDArray[np.float64]:
 
 
 def _ball(count: int) -> NDArray[np.float64]:
-    """So many particles of a lattice, those nearest to its middle."""
+    """The ``count`` particles of a lattice nearest to its center."""
     points = _lattice(*[round(1.4 * np.cbrt(count)) | 1] * 3)
     return points[np.argsort(np.linalg.norm(points, axis=1), kind="stable")[:count]]
 

@@ -12,14 +12,14 @@ from .shapes import at, block
 
 @dataclass(frozen=True)
 class Merge:
-    """How far each block came up with the plates."""
+    """How far each block rose with the plates."""
 
     lift: float
-    """What the plates rose [m]."""
+    """Rise of the plates [m]."""
     upper: float
-    """What the upper block rose [m]."""
+    """Rise of the upper block [m]."""
     lower: float
-    """What the lower block rose [m]."""
+    """Rise of the lower block [m]."""
 
 
 def merge(
@@ -29,7 +29,7 @@ def merge(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Merge:
-    """Press the upper block down on the lower, grip the upper, lift."""
+    """Press the upper block onto the lower, grip the upper one, and lift."""
     material = material or Material()
     spacing, speed = 0.005, 0.06
     size = counts * spacing

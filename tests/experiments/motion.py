@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Momentum of clay that nothing touches."""
+"""Momentum of free clay."""
 
 from dataclasses import dataclass
 
@@ -60,9 +60,9 @@ class Collision:
     spin_change: float
     """Change of angular momentum over Σ m |x × v| at the start."""
     momentum_change_per_step: float
-    """Largest change of linear momentum in a step, over the same."""
+    """Largest change of linear momentum in a step, over the same scale."""
     spin_change_per_step: float
-    """Largest change of angular momentum in a step, over the same."""
+    """Largest change of angular momentum in a step, over the same scale."""
 
 
 def collision(speed: float = 0.5, *, settings: Settings | None = None) -> Collision:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What hangs together: the pieces that particles form."""
+"""Connected pieces of particles."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 REACH = 2.0
-"""Particles closer than this hang together, in spacings: beyond it no bond acts."""
+"""Particles closer than this are connected, in spacings: beyond it no bond acts."""
 
 
 def pieces(
@@ -15,7 +15,7 @@ def pieces(
 
     Args:
         points: Particle positions [m], shape [N, 3].
-        spacing: Distance of neighboring particles at rest [m].
+        spacing: Distance between neighboring particles at rest [m].
         reach: Widest gap within a piece, in spacings.
 
     Returns:

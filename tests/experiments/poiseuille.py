@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A long layer of soft clay that flows down a rough incline: half of plane Poiseuille flow."""
+"""A long layer of soft clay flowing down a rough incline: half of plane Poiseuille flow."""
 
 import math
 from dataclasses import dataclass
@@ -16,18 +16,18 @@ DENSITY = 1700.0
 
 @dataclass(frozen=True)
 class Poiseuille:
-    """Velocities of the middle of the layer, once they are steady."""
+    """Steady velocities in the middle of the layer."""
 
     height: np.ndarray
-    """Of layers of particles above the lowest one, which sticks [m]."""
+    """Height of each layer of particles above the lowest one, which sticks [m]."""
     speed: np.ndarray
-    """Mean speed of each [m/s]."""
+    """Mean speed of each layer [m/s]."""
     expected: np.ndarray
-    """Of a Herschel-Bulkley fluid [m/s]."""
+    """Speed of each layer in a Herschel-Bulkley fluid [m/s]."""
 
     @property
     def plug(self) -> float:
-        """Speed of the upper third over the expected."""
+        """Speed of the upper third over that expected."""
         upper = self.height > 0.67 * self.height.max()
         return float(self.speed[upper].mean() / self.expected[upper].mean())
 
@@ -55,17 +55,17 @@ def poiseuille(
 
     Args:
         yield_ratio: Yield stress over the stress on the bed; 0 for a fluid without one.
-        layers: Particles in its depth.
-        depth: Of the layer [m].
-        stress: On the bed [Pa].
-        viscosity: Or consistency [Pa sⁿ].
-        flow_index: Power of the strain rate.
+        layers: Number of particles over its depth.
+        depth: Depth of the layer [m].
+        stress: Shear stress on the bed [Pa].
+        viscosity: Viscosity, or consistency [Pa sⁿ].
+        flow_index: Exponent of the strain rate.
         stiffness: Shear modulus over the stress on the bed.
         travel: How far its surface moves, in depths.
-        duration: Or for how long [s].
-        jitter: How far particles above the bed start off their lattice, in spacings; the layers of
-            a lattice slide over one another in jolts.
-        settings: Of the solver.
+        duration: Duration of the flow [s], instead of ``travel``.
+        jitter: Largest random offset of particles above the bed from their lattice, in spacings;
+            the layers of a perfect lattice slide over one another in jolts.
+        settings: Solver settings.
     """
     spacing = depth / layers
     counts = (5 * layers, 5, layers)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sphere pressed into a block and taken away: force, dent, volume."""
+"""A sphere pressed into a block and removed: force, dent and volume."""
 
 import math
 from dataclasses import dataclass
@@ -13,30 +13,30 @@ from .shapes import at, ball, block
 
 @dataclass(frozen=True)
 class Press:
-    """What the sphere felt and left."""
+    """Force on the sphere, and the dent that it leaves."""
 
     force_moving: float
-    """At full depth, still moving [N]."""
+    """Force at full depth, still moving [N]."""
     force_held: float
-    """A third of a second later [N]."""
+    """Force a third of a second later [N]."""
     theory: tuple[float, float]
-    """5.7 to 6.05 τ_y A, slip-line theory of a round punch [N]."""
+    """5.7 to 6.05 τ_y A, from the slip-line theory of a round punch [N]."""
     viscous: float
-    """What viscosity adds while it moves: 8 η a v, a round punch on a Newtonian fluid [N]."""
+    """Viscous part of the force: 8 η a v, for a round punch on a Newtonian fluid [N]."""
     dent_pressed: float
     """Depth under the sphere while it is held [m]."""
     dent_left: float
-    """Depth after it left and the clay came to rest [m]."""
+    """Depth after it is removed and the clay is at rest [m]."""
     compression_pressed: float
-    """Mean compression while pressed."""
+    """Mean compression during the press."""
     compression_left: float
-    """Mean compression after."""
-    largest_penetration: float
-    """Deepest a particle's ball lay inside the sphere [m]."""
+    """Mean compression afterwards."""
+    max_penetration: float
+    """Deepest penetration of a particle into the sphere [m]."""
 
     @property
     def spring_back(self) -> float:
-        """Part of the dent that came back."""
+        """Fraction of the dent that sprang back."""
         return 1.0 - self.dent_left / self.dent_pressed
 
 
@@ -50,7 +50,7 @@ def press(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Press:
-    """Press a sphere into a block on a table, hold it, take it away."""
+    """Press a sphere into a block on a table, hold it, and remove it."""
     material = material or Material()
     scene = Scene(spacing)
     scene.add_clay(block(counts, spacing), material)
@@ -101,5 +101,5 @@ def press(
         dent_left=sink(),
         compression_pressed=pressed,
         compression_left=solver.diagnostics().volume_error,
-        largest_penetration=penetration,
+        max_penetration=penetration,
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bar gripped by jaws at both ends and drawn out until it parts."""
+"""A bar gripped by jaws at both ends and drawn out until it breaks."""
 
 from dataclasses import dataclass, replace
 
@@ -14,23 +14,23 @@ from .shapes import at, block
 
 @dataclass(frozen=True)
 class Pull:
-    """How the bar drew out, and what it parted into."""
+    """How the bar drew out, and the pieces that it broke into."""
 
     stretch: float
-    """Free length between the jaws when the bar parted, over that at the start."""
+    """Free length between the jaws when the bar broke, over that at the start."""
     drawn: float
-    """What the bar drew out until it parted, over its thickness: an ideally plastic bar, which
-    necks to a point between two slip lines at 45°, draws out about one thickness."""
+    """Elongation of the bar when it broke, over its thickness: about 1 for an ideally plastic bar,
+    which necks to a point between two slip lines at 45°."""
     neck: float
-    """Smallest cross-section shortly before parting, over that at the start."""
+    """Smallest cross-section just before breaking, over that at the start."""
     piece_count: int
-    """Pieces of at least a twentieth of the clay."""
+    """Number of pieces of at least a twentieth of the clay."""
     debris: int
-    """Particles that belong to none of those."""
+    """Number of particles outside those pieces."""
     evenness: float
     """The smaller of the two largest pieces over the larger."""
     force_ratio: float
-    """Largest pull on a jaw pair over √3 τ_y A, what a plastic bar bears."""
+    """Largest pull on a pair of jaws over √3 τ_y A, the strength of a plastic bar."""
 
 
 def pull(
@@ -41,25 +41,25 @@ def pull(
     spacing: float = 0.005,
     speed: float = 0.05,
     jitter: float = 0.2,
-    furthest: float = 4.0,
+    max_stretch: float = 4.0,
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Pull:
     """Grip a bar at both ends and pull, without gravity.
 
-    The ends that the jaws hold are of a clay that yields at twenty times the stress, so that the
-    free length parts and not the grip.
+    The clay in the jaws yields at twenty times the stress, so that the free length breaks and not
+    the grip.
 
     Args:
-        width: Particles across the bar.
-        free: Particles along the free length.
-        held: Particles along the part in the jaws, at each end.
+        width: Number of particles across the bar.
+        free: Number of particles along the free length.
+        held: Number of particles along each end in the jaws.
         spacing: Particle spacing [m].
-        speed: Of each end [m/s].
-        jitter: Random offsets of the particles, in spacings.
-        furthest: Stretch at which to give up.
+        speed: Speed of each end [m/s].
+        jitter: Largest random offset of the particles, in spacings.
+        max_stretch: Stretch at which to give up.
         material: The clay.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = material or Material()
     thickness, free_length = width * spacing, free * spacing
@@ -75,7 +75,7 @@ def pull(
     jaws = [scene.add_mesh(jaw_box.vertices, jaw_box.faces, friction=20.0) for _ in sides]
 
     def place(gap: float, apart: float) -> None:
-        """Put the jaws ``gap`` off the bar's faces, and ``apart`` further out [m]."""
+        """Put the jaws ``gap`` from the bar's faces, and ``apart`` farther out [m]."""
         for jaw, (end, face) in zip(jaws, sides, strict=True):
             along = end * (0.5 * (free_length + jaw_size[0]) + apart)
             jaw.set_pose(at(along, 0.0, face * (0.5 * thickness + gap + 0.01)))
@@ -93,7 +93,7 @@ def pull(
         solver.step(1 / 60)
     apart, neck, strongest = 0.0, 1.0, 0.0
     clay = pieces(solver.positions(), spacing)
-    while len(clay[0]) > 0.9 * len(points) and 1 + 2 * apart / free_length < furthest:
+    while len(clay[0]) > 0.9 * len(points) and 1 + 2 * apart / free_length < max_stretch:
         neck = _neck(solver.positions(), spacing) / width**2
         apart += speed / 60
         place(gap, apart)
@@ -119,7 +119,7 @@ def pull(
 
 
 def _neck(points: np.ndarray, spacing: float) -> float:
-    """Fewest particles in a slice of two spacings between the ends, halved."""
+    """Smallest number of particles in a slice of two spacings between the ends, halved."""
     x = np.sort(points[:, 0])
     inner = np.arange(x[0] + 4 * spacing, x[-1] - 4 * spacing, 0.5 * spacing)
     counts = np.searchsorted(x, inner + spacing) - np.searchsorted(x, inner - spacing)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A block that lies on a table for a very long time."""
+"""A block resting on a table for a very long time."""
 
 from dataclasses import dataclass
 
@@ -14,12 +14,12 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Rest:
-    """What happened to a block after it had settled."""
+    """The changes of a block after it has settled."""
 
     steps: int
-    """Calls of `Solver.step` after settling."""
+    """Number of steps after settling."""
     drift: float
-    """Farthest that a particle moved, in spacings."""
+    """Largest motion of a particle, in spacings."""
     energy_early: float
     """Largest kinetic energy in the first tenth, over m g d."""
     energy_late: float
@@ -27,7 +27,7 @@ class Rest:
     volume_change: float
     """Change of the mean compression."""
     height_change: float
-    """Change of the block's height over the height."""
+    """Relative change of the block's height."""
     weight_ratios: tuple[float, float]
     """Smallest and largest force on the table over m g."""
 
@@ -46,14 +46,14 @@ def rest(
     """Put a block on a table and leave it there.
 
     Args:
-        steps: Calls of `Solver.step` after it has settled.
-        counts: Particles along each edge.
-        settle: Calls before.
-        step: Length of each [s].
-        looks: How often to look.
+        steps: Number of steps after it has settled.
+        counts: Number of particles along each edge.
+        settle: Number of steps before.
+        step: Length of a step [s].
+        looks: Number of measurements.
         spacing: Particle spacing [m].
         material: The clay.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = material or Material()
     scene = Scene(spacing)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay and tools that the experiments share."""
+"""Clay and tools shared by the experiments."""
 
 import numpy as np
 import trimesh
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 def block(
     counts: int | tuple[int, int, int], spacing: float, base: tuple[float, float, float] = (0, 0, 0)
 ) -> NDArray[np.float64]:
-    """Particles on a cubic lattice; the base is the middle of the lowest face [m]."""
+    """Particles on a cubic lattice above the center of their base [m], shape [N, 3]."""
     sizes = (counts,) * 3 if isinstance(counts, int) else counts
     axes = [np.arange(size) + 0.5 for size in sizes]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
@@ -20,7 +20,7 @@ def block(
 def cylinder(
     radius: float, height: float, spacing: float, *, jitter: float = 0.05
 ) -> NDArray[np.float64]:
-    """Particles of a standing cylinder, a little off their lattice [m]."""
+    """Particles of an upright cylinder, slightly off their lattice [m], shape [N, 3]."""
     across = 2 * int(np.ceil(radius / spacing))
     points = block((across, across, round(height / spacing)), spacing)
     points = points[np.hypot(points[:, 0], points[:, 1]) < radius]
@@ -35,14 +35,14 @@ def ball(radius: float) -> trimesh.Trimesh:
 
 
 def at(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """A pose that only moves [m]."""
+    """A pose that translates [m], shape [4, 4]."""
     pose = np.eye(4)
     pose[:3, 3] = (x, y, z)
     return pose
 
 
 def turned(points: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """The same points turned about their middle and the y axis by an angle [rad]."""
+    """Points rotated by an angle [rad] about the y axis through their center, shape [N, 3]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     middle = points.mean(0)
     turn = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A cylinder of soft clay slumping under its own weight, against theory."""
+"""A cylinder of soft clay slumping under its own weight, compared with theory."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Slump:
-    """How far the top sank, over the height."""
+    """Sinking of the top over the height, measured and by theory."""
 
     measured: float
     """Slump over height."""

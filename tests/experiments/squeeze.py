@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A block kneaded between plates a hundred times: does it keep its volume?"""
+"""A block kneaded between plates a hundred times, to check that it keeps its volume."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,20 +18,20 @@ from .shapes import at, block
 
 @dataclass(frozen=True)
 class Squeeze:
-    """What many squeezes did to a block."""
+    """The changes of a block in many squeezes."""
 
     squeezes: int
-    """How many."""
+    """Number of squeezes."""
     compression_change: float
-    """Change of the mean compression, at rest before and after."""
+    """Change of the mean compression at rest."""
     surface_change: float
-    """Change of the volume inside the reconstructed surface, over the volume."""
+    """Relative change of the volume inside the reconstructed surface."""
     density_change: float
-    """Change of the mean number of neighbors within two spacings of inner particles, over it."""
+    """Relative change of the kernel-weighted density of inner particles."""
     pieces: int
-    """What the block is in at the end."""
+    """Number of pieces at the end."""
     shortening: float
-    """How much thinner the block was in the last squeeze than before it."""
+    """Relative reduction of the thickness in the last squeeze."""
 
 
 def squeeze(
@@ -46,17 +46,17 @@ def squeeze(
 ) -> Squeeze:
     """Squeeze a floating block between two plates, along each axis in turn.
 
-    The plates close until they are nearer by ``depth`` than the block was thick, open, and the
-    next two close along the next axis: so every squeeze has something to squeeze.
+    The plates close until the block is thinner by ``depth``, open, and the next two close along the
+    next axis, so that every squeeze deforms the block.
 
     Args:
-        squeezes: How many.
-        depth: How much thinner the block becomes each time.
-        counts: Particles along each edge.
-        speed: Of each plate [m/s].
+        squeezes: Number of squeezes.
+        depth: Relative reduction of the block's thickness in each.
+        counts: Number of particles along each edge.
+        speed: Speed of each plate [m/s].
         spacing: Particle spacing [m].
         material: The clay.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     scene = Scene(spacing, gravity=(0, 0, 0))
     edge = counts * spacing
@@ -92,13 +92,13 @@ def squeeze(
     for number in range(squeezes):
         axis = number % 3
         low, high = extent(axis)
-        travel, way = 0.5 * depth * (high - low), 0.0
+        travel, moved = 0.5 * depth * (high - low), 0.0
         margin = 0.05 * spacing
         place(axis, low - margin, high + margin)
         solver.step(1 / 60)
-        while way < travel:
-            way = min(way + speed / 60, travel)
-            place(axis, low + way, high - way)
+        while moved < travel:
+            moved = min(moved + speed / 60, travel)
+            place(axis, low + moved, high - moved)
             solver.step(1 / 60)
         squeezed = extent(axis)
         shortening = 1 - (squeezed[1] - squeezed[0]) / (high - low)
@@ -120,7 +120,7 @@ def squeeze(
 
 
 def surface_volume(points: NDArray[np.floating], spacing: float) -> float:
-    """Volume inside the surface that particles stand for [m³]."""
+    """Volume inside the reconstructed surface of particles [m³]."""
     # In units of the spacing; the library measures lengths in particle radii, half of it.
     result, _ = pysplashsurf.reconstruction_pipeline(
         np.asarray(points / spacing, np.float64),
@@ -135,7 +135,7 @@ def surface_volume(points: NDArray[np.floating], spacing: float) -> float:
 
 
 def _density(points: NDArray[np.floating], spacing: float) -> float:
-    """Density of the inner two thirds of the particles, kernel-weighted, over an arbitrary one."""
+    """Kernel-weighted density of the inner two thirds of the particles, in arbitrary units."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1) / (3 * spacing)
     weights = (np.maximum(1 - apart, 0) ** 3).sum(1)
     return float(np.sort(weights)[len(points) // 3 :].mean())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay on a table or an incline: its weight, whether it holds, how fast it slides."""
+"""Clay on a table or an incline: its weight, sticking and sliding."""
 
 import math
 from dataclasses import dataclass
@@ -15,20 +15,20 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Standing:
-    """A block on a plane, tilted by an angle."""
+    """A block on a tilted plane."""
 
     normal_force: float
-    """Mean force across the plane over m g."""
+    """Mean force normal to the plane over m g."""
     tangential_force: float
     """Mean force along the plane over m g."""
     acceleration: float
-    """Along the plane [m/s²]."""
+    """Acceleration along the plane [m/s²]."""
     slip: float
-    """What the lowest layer slid after it had settled [m]."""
+    """Sliding distance of the lowest layer after settling [m]."""
     drift: float
-    """Farthest that a particle moved after the block had settled [m]."""
+    """Largest motion of a particle after settling [m]."""
     kinetic_energy: float
-    """At the end [J]."""
+    """Kinetic energy at the end [J]."""
 
 
 def stand(
@@ -40,7 +40,7 @@ def stand(
     settle: float = 0.5,
     settings: Settings | None = None,
 ) -> Standing:
-    """Put a block on a plane tilted by ``angle`` [rad], gravity tilted instead of the plane."""
+    """Put a block on a plane tilted by ``angle`` [rad], by tilting gravity instead."""
     spacing = 0.005
     material = Material(friction=friction)
     scene = Scene(spacing, (GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))

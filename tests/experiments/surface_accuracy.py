@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How far surfaces of clay are from the shapes that were filled with it, and how long they take.
+"""Distance of clay surfaces from the shapes that were filled, and their cost.
 
-``python -m tactile_clay.tests.experiments.surface_accuracy`` prints it alone.
+``python -m tactile_clay.tests.experiments.surface_accuracy`` prints the table.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from tactile_clay.solver import fill_mesh
 
 SPACINGS = (0.002, 0.0035, 0.005, 0.007)
 RADIUS = 0.03
-"""Of the sphere [m]."""
+"""Radius of the sphere [m]."""
 SIDES = np.array([0.06, 0.05, 0.04])
-"""Of the box, about [m]: each is a whole number of particles long."""
+"""Approximate sides of the box [m], rounded to whole spacings."""
 SAMPLES = 20_000
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How far a surface is from the shape it stands for."""
+    """Distance of a surface from the shape that it represents."""
 
     particles: int
     """Number of particles."""
     rms: float
-    """Root mean square distance, both ways [m]."""
+    """RMS distance in both directions [m]."""
     hausdorff: float
-    """Largest distance, both ways [m]."""
+    """Largest distance in both directions [m]."""
     volume_error: float
-    """Volume over that of the shape, minus one."""
+    """Relative error of the volume."""
     seconds: float
-    """Processor time the surface took, all cores together [s]."""
+    """Processor time of the surface, summed over cores [s]."""
 
 
 def exact_surface(points: NDArray[np.float64], spacing: float) -> Surface:
@@ -54,7 +54,7 @@ def exact_surface(points: NDArray[np.float64], spacing: float) -> Surface:
 
 
 def nodes_surface(points: NDArray[np.float64], spacing: float) -> Surface:
-    """The surface that the geometry nodes of the look show."""
+    """The surface that the look's geometry nodes show."""
     colors = np.ones((len(points), 4), np.float32)
     item = make_point_cloud(bpy.context, points.astype(np.float32), colors, spacing, "Clay")
     modifier = add_look(item, spacing=spacing)
@@ -83,19 +83,19 @@ SHAPES = ("sphere", "box")
 
 
 def sides(spacing: float) -> NDArray[np.float64]:
-    """Of the box that just so many particles fill [m]."""
+    """Sides of the box, a whole number of spacings each [m], shape [3]."""
     return np.round(SIDES / spacing) * spacing
 
 
 def shape_mesh(name: str, spacing: float) -> trimesh.Trimesh:
-    """The shape that is filled."""
+    """Mesh of the shape to fill."""
     if name == "sphere":
         return trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
     return trimesh.creation.box(sides(spacing))
 
 
 def distance_to(name: str, points: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Distance of points from the true sphere or box, from their definitions [m]."""
+    """Distance of points from the exact sphere or box [m], shape [N]."""
     if name == "sphere":
         return np.abs(np.linalg.norm(points, axis=1) - RADIUS)
     beyond = np.abs(points) - sides(spacing) / 2
@@ -109,7 +109,7 @@ def measure(kind: str, shape: str, spacing: float) -> Accuracy:
     Args:
         kind: One of `SURFACES`.
         shape: One of `SHAPES`.
-        spacing: Distance of the particles [m].
+        spacing: Particle spacing [m].
     """
     mesh = shape_mesh(shape, spacing)
     filled = fill_mesh(mesh.vertices, mesh.faces.astype(np.int32), spacing)
@@ -117,7 +117,7 @@ def measure(kind: str, shape: str, spacing: float) -> Accuracy:
     began = time.process_time()
     surface = SURFACES[kind](points, spacing)
     seconds = time.process_time() - began
-    # Areas count evenly: points are sampled, not vertices taken.
+    # Points are sampled evenly by area, unlike vertices.
     made = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     on_surface, _ = trimesh.sample.sample_surface(made, SAMPLES, seed=0)
     there = distance_to(shape, on_surface, spacing)
@@ -137,15 +137,15 @@ def measure(kind: str, shape: str, spacing: float) -> Accuracy:
 
 
 def surface_lines(spacings: tuple[float, ...] = SPACINGS) -> list[str]:
-    """Measure all of it.
+    """Measure all surfaces, shapes and spacings.
 
     Returns:
         Lines of Markdown.
     """
     lines = [
         "A sphere of 30 mm radius and a box of about 60 × 50 × 40 mm, filled with clay at several "
-        "spacings d, and how far their surfaces are from them: root mean square and largest "
-        "distance (Hausdorff), both ways. *Exact* is what is exported and delivered, *geometry "
+        "spacings d, and the distance of their surfaces from them: root mean square and largest "
+        "(Hausdorff), in both directions. *Exact* is what is exported and delivered, *geometry "
         "nodes* what the viewport and renders of the point cloud show.",
         "",
         "| shape | d, mm | particles | surface | rms, mm | rms / d | Hausdorff, mm "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a scene is survived: the clay stays finite, throws nothing and comes to rest."""
+"""Whether a scene is survived: the clay stays finite, ejects nothing and comes to rest."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,30 +11,30 @@ from tactile_clay.solver import Material, Scene, Settings, Solver
 
 SPACING = 0.005
 RELEASE_SPEED = 1.0
-"""Clay that overlaps itself holds more energy than clay can; this is what it may be let out
-with [m/s], where no speed went in otherwise."""
+"""Input speed of cases without any other [m/s]: clay that overlaps itself holds more energy than
+real clay can, and may release it at about this speed."""
 
 
 @dataclass(frozen=True)
 class HardCase:
-    """What happened."""
+    """The outcome of a hard case."""
 
     finite: bool
-    """All positions and velocities were finite after every step."""
+    """Whether all positions and velocities were finite after every step."""
     ejection_ratio: float
-    """Fastest particle of all over what went in; 0 where nothing could move."""
+    """Highest speed of a particle over the input speed; 0 if nothing could move."""
     recovered: bool
-    """At rest at the end, or exact where the case has an exact result."""
+    """Whether the clay is at rest at the end, or the result correct if the case has a known one."""
     clamped: int
-    """Velocities that were shortened."""
+    """Number of clamped velocities."""
     quarantined: int
-    """Particles held because their state was not finite."""
+    """Number of times a particle was held because its state was not finite."""
     overflow: int
-    """Neighbors that found no room."""
+    """Number of neighbors dropped for lack of room."""
     teleported: int
-    """Jumps of colliders."""
+    """Number of jumps of colliders."""
     note: str
-    """What else is worth saying."""
+    """Remark for the table."""
 
     @property
     def passed(self) -> bool:
@@ -53,17 +53,17 @@ def survive(
     note: str = "",
     settings: Settings | None = None,
 ) -> HardCase:
-    """Step a scene and look what becomes of it.
+    """Step a scene, and judge the outcome.
 
     Args:
         scene: The scene.
-        frames: How many steps.
-        speed_in: What goes in [m/s]: of the clay, of a tool, of a fall.
+        frames: Number of steps.
+        speed_in: Input speed [m/s]: of the clay, a tool or a fall.
         drive: Called before each step, to move tools.
         step: Length of each step [s].
         calm: Speed below which the clay counts as at rest [m/s].
-        note: For the table.
-        settings: Of the solver.
+        note: Remark for the table.
+        settings: Solver settings.
     """
     solver = Solver(scene, settings)
     fastest, finite = 0.0, True
@@ -80,7 +80,7 @@ def survive(
 def judge(
     solver: Solver, finite: bool, ejection_ratio: float, recovered: bool, note: str
 ) -> HardCase:
-    """Put a case's outcome and the solver's counts together."""
+    """Combine a case's outcome with the solver's counts."""
     state = solver.diagnostics()
     return HardCase(
         finite=finite,
@@ -101,7 +101,7 @@ def on_table(
     gravity: float = 9.81,
     velocities: tuple[float, float, float] | NDArray[np.float64] = (0.0, 0.0, 0.0),
 ) -> Scene:
-    """Clay over a table."""
+    """Make a scene of clay over a table."""
     scene = Scene(SPACING, gravity=(0, 0, -gravity))
     scene.add_clay(points, material or Material(), velocities=velocities)
     scene.add_plane()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's ablation comes out as in its figure 2."""
+"""The ablation reproduces the paper's figure 2."""
 
 from pathlib import Path
 
@@ -21,12 +21,12 @@ from tactile_clay.tests.experiments.shapes import block, turned
 
 @pytest.fixture(scope="module")
 def results() -> dict:
-    """All four variants, once."""
+    """Results of all four variants."""
     return {variant: drop_on_incline(variant, times=TIMES) for variant in VARIANTS}
 
 
 def test_full_model_flattens_and_holds(results: dict):
-    """Take the fall by deforming, stay in one piece and then not move at all."""
+    """Absorb the fall by deforming, stay in one piece and then not move at all."""
     full = results["full"]
     assert full.pieces == 1
     assert 0.3 < full.height < 0.8
@@ -35,14 +35,14 @@ def test_full_model_flattens_and_holds(results: dict):
 
 
 def test_without_viscosity_it_fractures(results: dict):
-    """Fly to pieces; all others stay whole."""
+    """Break into pieces, while all others stay whole."""
     assert results["without viscosity"].largest_piece < 0.85
     assert results["without viscosity"].pieces > 30
     assert all(r.pieces == 1 for name, r in results.items() if name != "without viscosity")
 
 
 def test_without_elastoplasticity_it_drifts(results: dict):
-    """Creep on and on, and end flatter than the full model."""
+    """Keep creeping, and end flatter than the full model."""
     drifting = results["without elastoplasticity"]
     others = [r.creep for r in results.values() if r is not drifting]
     assert drifting.creep > 0.1 * SPACING
@@ -51,7 +51,7 @@ def test_without_elastoplasticity_it_drifts(results: dict):
 
 
 def test_without_friction_it_slides(results: dict):
-    """Be gone downhill, far faster than anything else moves."""
+    """Slide downhill far faster than all others move."""
     sliding = results["without friction"]
     others = [r.slide for r in results.values() if r is not sliding]
     assert sliding.slide > 1.0
@@ -61,7 +61,7 @@ def test_without_friction_it_slides(results: dict):
 def test_picture_shows_four_variants(
     results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Draw each variant in its color, side by side."""
+    """Draw the variants side by side, each in its color."""
     monkeypatch.setattr(ablation_picture, "PANEL", (176, 132))
     path = tmp_path / "ablation.png"
     draw_ablation(list(results.values()), path)
@@ -75,15 +75,15 @@ def test_picture_shows_four_variants(
 
 
 def test_pieces_are_counted():
-    """Tell a split block from a whole one."""
+    """Distinguish a split block from a whole one."""
     points = block(4, SPACING)
     assert list(piece_sizes(points, 1.5 * SPACING)) == [64]
     points[points[:, 0] > 0] += (SPACING, 0, 0)
     assert sorted(piece_sizes(points, 1.5 * SPACING)) == [32, 32]
 
 
-def test_creep_leaves_rigid_motion_out():
-    """See no creep in a turned and moved block, and all of a stretch."""
+def test_creep_excludes_rigid_motion():
+    """Measure no creep in a rotated and translated block, and the whole of a stretch."""
     points = block(4, SPACING)
     moved = turned(points, 0.7) + np.array((1.0, 2.0, 3.0))
     assert creep_between(points, moved) < 1e-12

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Coulomb friction against its textbook figures."""
+"""Coulomb friction against textbook values."""
 
 import math
 
@@ -10,7 +10,7 @@ from tactile_clay.tests.experiments.coulomb import creep, drag, stop
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
 def test_dragged_block_rubs_with_mu_times_its_weight(friction: float):
-    """Rub on the table, and press on the paddle, with μ m g within 2 %, steadily."""
+    """Exert μ m g on the table and the paddle within 2 %, steadily."""
     result = drag(friction=friction, duration=0.5)
     assert result.table_ratio == pytest.approx(1.0, abs=0.02)
     assert result.paddle_ratio == pytest.approx(1.0, abs=0.02)
@@ -27,5 +27,5 @@ def test_sliding_block_stops_after_v_squared_over_two_mu_g(speed: float, frictio
 
 @pytest.mark.parametrize("degrees", [15.0, 25.0])
 def test_sticking_block_creeps_less_than_a_millimeter_a_minute(degrees: float):
-    """Hold still on an incline below arctan μ, 26.6°."""
+    """Stick on an incline below arctan μ, 26.6°."""
     assert creep(math.radians(degrees), friction=0.5, duration=1.0) < 1e-3 / 60

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What was pressed together splits again along a knife."""
+"""Merged blocks are split again by a knife."""
 
 import pytest
 
 from tactile_clay.tests.experiments.cut import cut
 
 
-def test_a_knife_splits_what_was_pressed_together():
-    """Make one piece of two blocks, and two equal halves of it again that do not hold together."""
+def test_a_knife_splits_merged_blocks():
+    """Merge two blocks into one piece, and cut it into two separate equal halves."""
     result = cut()
     assert result.pieces_before == 1
     assert result.pieces_after == 2

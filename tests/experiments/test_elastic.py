@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The shear modulus has its effect: static stiffness, and a bounce."""
+"""Effects of the shear modulus: static stiffness and bouncing."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from tactile_clay.tests.experiments.elastic import STIFFNESS_OVER_SHEAR, compres
 
 @pytest.mark.parametrize("modulus", [2e4, 1e5, 4e5])
 def test_block_shears_with_its_modulus(modulus: float):
-    """Resist shear with G γ A within 15 %, and spring back whole."""
+    """Resist shear with G γ A within 15 %, and spring back completely."""
     result = shear(counts=(10, 10, 4), material=Material(shear_modulus=modulus))
     assert result.ratio == pytest.approx(1.0, abs=0.15)
     assert result.returned > 0.99
@@ -18,7 +18,7 @@ def test_block_shears_with_its_modulus(modulus: float):
 
 @pytest.mark.parametrize("strain", [0.02, 0.1])
 def test_block_compresses_with_its_modulus(strain: float):
-    """Resist compression between 2.5 and 3 G, less what a free surface lacks: 20 %."""
+    """Resist compression with 2.5 to 3 G, minus up to 20 % at free surfaces."""
     result = compress(strain, counts=(6, 6, 6))
     middle = sum(STIFFNESS_OVER_SHEAR) / 2
     assert 0.8 * STIFFNESS_OVER_SHEAR[0] < result.ratio * middle < 1.05 * STIFFNESS_OVER_SHEAR[1]
@@ -26,21 +26,21 @@ def test_block_compresses_with_its_modulus(strain: float):
 
 
 def test_bounce_takes_the_time_of_a_wave():
-    """Touch the table for 2 H / c within a fifth, and come back with most of the speed."""
+    """Touch the table for 2 H / c within a fifth, and rebound with most of the speed."""
     result = bounce(settings=Settings(substeps=128))
     assert result.contact_time == pytest.approx(result.expected_time, rel=0.2)
     assert 0.75 < result.restitution <= 1.0
 
 
 def test_finer_steps_bounce_higher():
-    """Lose less to the implicit time step the finer it is."""
+    """Lose less energy with finer implicit time steps."""
     found = [bounce(settings=Settings(substeps=count)).restitution for count in (4, 16, 64)]
     assert found == sorted(found)
     assert found[0] > 0.2
 
 
 def test_stiffer_block_bounces_sooner():
-    """Halve the time of contact at four times the modulus."""
+    """Halve the contact time at four times the modulus."""
     fine = Settings(substeps=64)
     soft = bounce(material=Material(shear_modulus=1e4), settings=fine)
     stiff = bounce(material=Material(shear_modulus=4e4), settings=fine)
@@ -51,5 +51,5 @@ def test_stiffer_block_bounces_sooner():
     strict=False, reason="the implicit Euler step damps: restitution .31 at 4 substeps"
 )
 def test_live_setting_bounces_elastically():
-    """Come back with most of the speed at the live setting."""
+    """Rebound with most of the speed at the live setting."""
     assert bounce().restitution > 0.75

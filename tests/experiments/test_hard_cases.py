@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hard cases: whatever happens, the clay stays finite, throws nothing about and comes to rest."""
+"""Hard cases: the clay stays finite, ejects nothing and comes to rest."""
 
 import functools
 
@@ -22,7 +22,7 @@ from tactile_clay.tests.experiments.survival import (
 )
 
 SHORTER = {"idling": lambda: hard_cases.idle(600)}
-"""Cases that are run shorter here than for the report."""
+"""Cases that are shorter here than in the report."""
 
 
 @functools.cache
@@ -33,35 +33,35 @@ def outcome(name: str) -> HardCase:
 
 @pytest.mark.parametrize("name", [name for name, _ in CASES])
 def test_hard_case_is_survived(name: str):
-    """Stay finite, throw nothing faster than twice what went in, and come to rest."""
+    """Stay finite, eject nothing faster than twice the input speed, and come to rest."""
     result = outcome(name)
     assert result.finite
     assert result.ejection_ratio <= 2.0, result
     assert result.recovered, result
 
 
-def test_names_of_the_cases_differ():
-    """Tell every case apart."""
+def test_case_names_are_unique():
+    """Give every case its own name."""
     names = [name for name, _ in CASES]
     assert len(set(names)) == len(names)
 
 
-def test_what_was_done_to_save_a_case_is_counted():
-    """Count clamped velocities, full rows, particles held and tools that jumped."""
-    crowded = outcome("slots run over")
+def test_interventions_are_counted():
+    """Count clamped velocities, full rows, held particles and jumping tools."""
+    crowded = outcome("slots overflow")
     assert crowded.clamped > 0
     assert crowded.overflow > 0
     assert outcome("particle not finite").quarantined >= 3
     assert outcome("tool jumps inside").teleported == 1
 
 
-def test_a_tool_without_thickness_is_refused_in_words():
-    """Say that two coincident faces enclose no volume."""
+def test_a_tool_without_thickness_is_refused_with_a_message():
+    """Report that two coincident faces enclose no volume."""
     assert "no volume" in outcome("tool without thickness").note
 
 
 def test_a_sheet_one_particle_thick_falls_flat():
-    """Drop a sheet one particle thick: it lies flat on the table."""
+    """Drop a sheet one particle thick, which ends flat on the table."""
     solver = Solver(on_table(block((8, 8, 1), SPACING, (0, 0, 0.02))))
     solver.begin()
     for _ in range(60):
@@ -70,7 +70,7 @@ def test_a_sheet_one_particle_thick_falls_flat():
 
 
 def test_an_impact_flattens_and_stays_above_the_table():
-    """Flatten a block at 20 m/s, all of it on its side of the table."""
+    """Flatten a block at 20 m/s, without any of it passing through the table."""
     solver = Solver(on_table(block(6, SPACING, (0, 0, 0.03)), velocities=(0, 0, -20.0)))
     solver.begin()
     for _ in range(60):
@@ -80,8 +80,8 @@ def test_an_impact_flattens_and_stays_above_the_table():
     assert heights.max() < 4 * SPACING
 
 
-def test_a_ball_at_two_meters_a_second_passes_through_nothing():
-    """Sweep a ball through a block: no particle is ever inside it."""
+def test_a_ball_at_two_meters_a_second_does_not_tunnel():
+    """Sweep a ball through a block, with no particle ever inside it."""
     scene = on_table(block(6, SPACING))
     sphere = ball(0.012)
     tool = scene.add_mesh(sphere.vertices, sphere.faces)
@@ -99,7 +99,7 @@ def test_a_ball_at_two_meters_a_second_passes_through_nothing():
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 120), stress=st.floats(0.0, 5e4))
 @settings(max_examples=8, deadline=None)
 def test_any_cloud_of_particles_stays_finite_and_slow(seed: int, count: int, stress: float):
-    """Let random clouds, overlapping or not, of any yield stress, fall in a heap."""
+    """Drop random clouds of any yield stress, overlapping or not."""
     points = np.random.default_rng(seed).uniform(
         (-0.02, -0.02, 0.003), (0.02, 0.02, 0.03), (count, 3)
     )
@@ -110,7 +110,7 @@ def test_any_cloud_of_particles_stays_finite_and_slow(seed: int, count: int, str
 
 @st.composite
 def scenes(draw: st.DrawFn) -> tuple[Scene, float]:
-    """A small random scene of blocks, planes and boxes, and the speed that goes into it."""
+    """A small random scene of blocks, planes and boxes, and its input speed."""
     spacing = draw(st.sampled_from((0.002, 0.005, 0.02)))
     gravity = draw(st.sampled_from((0.0, 9.81, 98.1)))
     scene = Scene(spacing, gravity=(0, 0, -gravity))
@@ -142,10 +142,10 @@ def scenes(draw: st.DrawFn) -> tuple[Scene, float]:
 
 @given(drawn=scenes(), seed=st.integers(0, 1000), frames=st.integers(1, 12))
 @settings(max_examples=25, deadline=None)
-def test_any_small_scene_stays_finite_and_throws_nothing(
+def test_any_small_scene_stays_finite_and_ejects_nothing(
     drawn: tuple[Scene, float], seed: int, frames: int
 ):
-    """Draw clay, planes and boxes that move about: finite, and at most twice what went in."""
+    """Stay finite and below twice the input speed with random clay, planes and moving boxes."""
     scene, speed_in = drawn
     rng = np.random.default_rng(seed)
     starts = [mesh.pose[:3, 3].copy() for mesh in scene.meshes]

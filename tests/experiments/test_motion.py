@@ -14,7 +14,7 @@ def test_free_fall_is_exact():
 
 
 def test_free_spin_keeps_momentum_and_shape():
-    """Keep linear momentum to 1e-5 and angular momentum to 1e-4 a step, and the shape."""
+    """Conserve linear momentum to 1e-5, angular momentum to 1e-4 per step, and the shape."""
     result = motion.spin()
     assert result.momentum < 1e-5
     assert result.spin_change_per_step < 1e-4
@@ -32,7 +32,7 @@ def test_collision_of_different_densities_keeps_momentum():
 
 
 def test_table_stops_a_fall_with_the_right_impulse():
-    """Give an impulse of m g t over fall, landing and rest, and keep the block's height."""
+    """Exert an impulse of m g t over fall, landing and rest, and keep the block's height."""
     result = falling.drop()
     assert result.impulse_ratio == pytest.approx(1.0, abs=0.02)
     assert result.height_ratio == pytest.approx(1.0, abs=0.03)

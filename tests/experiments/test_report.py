@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report: how errors are counted, what is on the front, and that it is written whole."""
+"""The report: scoring of errors, the front, and complete output."""
 
 import json
 import math
@@ -14,14 +14,14 @@ from tactile_clay.solver import QUALITIES, Settings
 from tactile_clay.tests.experiments.report import registry, stability, sweep
 from tactile_clay.tests.experiments.report.figure import Figure
 from tactile_clay.tests.experiments.report.meter import TooExpensiveError, metered
-from tactile_clay.tests.experiments.report.stability import Behaviour, Cell
+from tactile_clay.tests.experiments.report.stability import Behavior, Cell
 from tactile_clay.tests.experiments.report.sweep import Combined
 from tactile_clay.tests.experiments.standing import stand
 
 
 @dataclass
 class Result:
-    """What an experiment could give."""
+    """A possible result of an experiment."""
 
     force: float
     theory: tuple[float, float] = (12.0, 14.0)
@@ -29,28 +29,28 @@ class Result:
 
 @pytest.mark.parametrize(("force", "error"), [(12.5, 0.0), (11.0, 1.0), (15.3, 1.3)])
 def test_error_is_the_distance_from_the_band(force: float, error: float):
-    """Count nothing inside the band, and the distance to its nearer end outside."""
+    """Be zero inside the band, and outside the distance to its nearer end."""
     figure = Figure("force", "force", lambda r: r.theory, 0.1, "N", relative=True)
     measured = figure.measure(Result(force))
     assert measured.error == pytest.approx(error)
     assert measured.score == pytest.approx(error / 1.3)
 
 
-def test_what_is_not_finite_is_infinitely_wrong():
-    """Give no result the worst error, never a good one."""
+def test_non_finite_results_have_infinite_error():
+    """Score missing results as infinitely wrong."""
     figure = Figure("force", "force", 13.0, 0.1)
     assert math.isinf(figure.measure(Result(math.nan)).error)
     assert math.isinf(figure.missing().score)
 
 
-def test_front_holds_what_nothing_beats():
-    """Keep an item only if whatever is cheaper is worse."""
+def test_front_holds_undominated_items():
+    """Keep an item only if everything cheaper is worse."""
     items = [(1.0, 5.0, "a"), (2.0, 6.0, "b"), (3.0, 2.0, "c"), (3.0, 1.0, "d"), (9.0, 1.0, "e")]
     assert [name for _, _, name in sweep.front(items)] == ["a", "d"]
 
 
 def test_qualities_come_from_the_front():
-    """Call the default live, what is good and cheap draft, and what is nearly best film."""
+    """Choose the default as live, a cheap good setting as draft, and a nearly best one as film."""
 
     def item(substeps: int, cost: float, mean: float, worst: float) -> Combined:
         return Combined(
@@ -77,8 +77,8 @@ def test_qualities_come_from_the_front():
     assert chosen["film"].settings.substeps == 8
 
 
-def test_qualities_to_choose_from_are_in_order():
-    """Offer what the report names, live being the default, with ever more work a frame."""
+def test_qualities_are_in_order_of_work():
+    """Match the report's names, with live as the default, in order of work per frame."""
     assert tuple(QUALITIES) == sweep.QUALITIES
     assert QUALITIES["live"] == Settings()
     work = [settings.substeps * (settings.iterations or 6) for settings in QUALITIES.values()]
@@ -86,21 +86,21 @@ def test_qualities_to_choose_from_are_in_order():
 
 
 def test_margin_ends_at_the_first_cell_that_is_not_stable():
-    """Measure how far the map is stable without a break, and whether it ends there by itself."""
+    """Measure how far the map is stable, and whether something unstable bounds it."""
     speed = 0.0
     cells = [
-        Cell(n, 1e5, Behaviour.STABLE if n > 1 else Behaviour.BLOWN_UP, speed, speed)
+        Cell(n, 1e5, Behavior.STABLE if n > 1 else Behavior.BLOWN_UP, speed, speed)
         for n in (1, 2, 4)
     ]
-    cells += [Cell(4, 1e6, Behaviour.STABLE, speed, speed)]
-    room = stability.margin(cells, Settings(substeps=4), 1.1e5)
-    assert room.time_step == pytest.approx(2.0)
-    assert room.time_step_bounded
-    assert room.stiffness == pytest.approx(10.0)
-    assert not room.stiffness_bounded
+    cells += [Cell(4, 1e6, Behavior.STABLE, speed, speed)]
+    margin = stability.margin(cells, Settings(substeps=4), 1.1e5)
+    assert margin.time_step == pytest.approx(2.0)
+    assert margin.time_step_bounded
+    assert margin.stiffness == pytest.approx(10.0)
+    assert not margin.stiffness_bounded
 
 
-def test_meter_counts_every_step_and_stops_what_is_too_expensive():
+def test_meter_counts_every_step_and_stops_expensive_runs():
     """Count the frames of all solvers made inside, and give up at the limit."""
     with metered(1e3) as meter:
         stand(duration=0.2, settle=0.1, counts=2)
@@ -111,14 +111,14 @@ def test_meter_counts_every_step_and_stops_what_is_too_expensive():
         stand(duration=0.2, settle=0.1, counts=2)
 
 
-def test_names_are_unique_and_swept_experiments_can_be_found():
-    """Look experiments up by a name that only one has."""
+def test_names_are_unique_and_all_experiments_can_be_swept():
+    """Identify experiments by unique names."""
     names = [experiment.name for experiment in registry.EXPERIMENTS]
     assert len(set(names)) == len(names)
     assert {p.experiment for p in sweep.swept_points(registry.EXPERIMENTS)} == set(names)
 
 
-def test_quick_report_is_written_whole(tmp_path: Path):
+def test_quick_report_is_complete(tmp_path: Path):
     """Write the page, its data and every picture that the page shows."""
     module = "tactile_clay.tests.experiments.report"
     subprocess.run([sys.executable, "-m", module, "--quick", "--output", str(tmp_path)], check=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay that nobody touches stays as it is."""
+"""Undisturbed clay does not change."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tactile_clay.tests.experiments.resting import Rest, rest
 
 @pytest.fixture(scope="module")
 def rested() -> Rest:
-    """One rest for all that is asked of it; the report's is far longer."""
+    """A rested block, shared by the tests; the report's rests far longer."""
     return rest(600, counts=4)
 
 
@@ -18,7 +18,7 @@ def test_block_at_rest_does_not_drift(rested: Rest):
 
 
 def test_energy_of_rest_does_not_grow(rested: Rest):
-    """End with no more kinetic energy than at the start, and with next to none."""
+    """End with no more kinetic energy than at the start, and hardly any."""
     assert rested.energy_late < max(2.0 * rested.energy_early, 1e-10)
     assert rested.energy_late < 1e-8
 
@@ -30,5 +30,5 @@ def test_block_at_rest_keeps_its_volume(rested: Rest):
 
 
 def test_block_at_rest_keeps_its_weight(rested: Rest):
-    """Weigh m g within 1 % at every look."""
+    """Weigh m g within 1 % at all times."""
     assert rested.weight_ratios == pytest.approx((1.0, 1.0), abs=0.01)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Weight, stick and slide."""
+"""Weight, sticking and sliding of a block."""
 
 import math
 
@@ -18,7 +18,7 @@ def test_block_at_rest_weighs_m_g_and_stays():
 
 
 def test_block_holds_on_a_gentle_incline():
-    """Stay put where tan θ < μ, and put m g cos θ and m g sin θ on the plane within 2 %."""
+    """Stay put if tan θ < μ, and exert m g cos θ and m g sin θ on the plane within 2 %."""
     angle = math.radians(15)
     result = stand(angle, friction=0.6)
     assert result.normal_force == pytest.approx(math.cos(angle), rel=0.02)
@@ -27,7 +27,7 @@ def test_block_holds_on_a_gentle_incline():
 
 
 def test_block_slides_on_a_steep_incline():
-    """Slide with g (sin θ - μ cos θ) within 3 % where tan θ > μ."""
+    """Slide with g (sin θ - μ cos θ) within 3 % if tan θ > μ."""
     angle, friction = math.radians(35), 0.6
     expected = GRAVITY * (math.sin(angle) - friction * math.cos(angle))
     assert stand(angle, friction=friction).acceleration == pytest.approx(expected, rel=0.03)
@@ -35,13 +35,13 @@ def test_block_slides_on_a_steep_incline():
 
 @pytest.mark.parametrize(("degrees", "slips"), [(25.57, False), (27.57, True)])
 def test_friction_brackets_the_critical_angle(degrees: float, slips: bool):
-    """Hold one degree below arctan μ and slip one degree above."""
+    """Stick one degree below arctan μ, and slip one degree above."""
     result = stand(math.radians(degrees), friction=0.5, duration=1.5)
     assert (result.slip > 2e-3) == slips
 
 
 def test_without_friction_everything_slides():
-    """Slide with g sin θ when friction is switched off."""
+    """Slide with g sin θ when friction is turned off."""
     angle = math.radians(10)
     result = stand(angle, settings=Settings(friction=False))
     assert result.acceleration == pytest.approx(GRAVITY * math.sin(angle), rel=0.01)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch as a whole: what the report says of it holds."""
+"""Touch as a whole: the claims of the report hold."""
 
 import math
 from pathlib import Path
@@ -22,7 +22,7 @@ def hand() -> touch.Hand:
 
 
 def test_weights_serve_finger_pads(hand: touch.Hand, tmp_path: Path):
-    """Render pads better with perceptual weights than without, and draw it."""
+    """Render finger pads better with perceptual weights than without, and draw the result."""
     result = touch.compare_weights(hand)
     assert result.on_pads(result.weighted).error < 0.92 * result.on_pads(result.even).error
     touch_pictures.draw_weights(result, tmp_path / "weights.png")
@@ -30,29 +30,29 @@ def test_weights_serve_finger_pads(hand: touch.Hand, tmp_path: Path):
 
 
 def test_true_minimizer_reconstructs_better_than_the_printed_form(hand: touch.Hand):
-    """Miss the pressure by less with Σ p* G / Σ G² on every contact, of any size."""
+    """Reproduce pressure better with Σ p* G / Σ G² on contacts of every size."""
     for result in touch.compare_rules(hand):
         assert result.true.error < 0.95 * result.printed.error
         assert result.gain > 1.3
 
 
 def test_spatiotemporal_modulation_wins_on_large_contacts(hand: touch.Hand):
-    """Halve the error of shape on palm and hand, and cover them, in theory and in sound."""
+    """Halve the shape error on palm and hand, and cover them, in theory and in the sound field."""
     results = {r.contact: r for r in touch.compare_modulations(hand, samples=30)}
     for name in ("palm", "whole hand"):
         r = results[name]
         assert r.spatiotemporal.shape_error < 0.5 * r.amplitude.shape_error
         assert r.spatiotemporal.coverage > 0.95 > 0.7 > r.amplitude.coverage
         assert r.spatiotemporal_sound.shape_error < 0.75 * r.amplitude_sound.shape_error
-    # What it costs: a place is passed for a part of the time only.
+    # The cost: each point is stimulated for only part of the time.
     assert results["whole hand"].spatiotemporal.gain > 2.0
-    # On one fingertip nothing is won.
+    # There is no gain on one fingertip.
     one = results["one fingertip"]
     assert one.spatiotemporal.shape_error > 0.9 * one.amplitude.shape_error
 
 
 def test_more_plastic_clay_is_felt_as_softer():
-    """Give lower focal pressures for clay that yields sooner, pressed alike by the solver."""
+    """Yield lower focal pressures for clay that yields sooner under the same press."""
     pressures = []
     for stress in (1e3, 5e3):
         material = Material(yield_stress=stress, viscosity=20.0)
@@ -66,15 +66,15 @@ def test_more_plastic_clay_is_felt_as_softer():
 
 
 def test_contact_of_a_ball_has_the_force_it_is_given():
-    """Press with F over the projected area of the contact."""
+    """Exert F over the projected area of the contact."""
     contacts = touch.ball_contacts(0.012, 0.012, 18.0)
     pressure = np.linalg.norm(contacts.forces, axis=1) / contacts.areas
     assert contacts.forces[:, 2].sum() == pytest.approx(18.0)
     assert pressure.max() == pytest.approx(18.0 / (math.pi * 0.012**2), rel=0.1)
 
 
-def test_drives_are_judged_as_they_are():
-    """Find the naive sum to be uneven, the default exact, and both as loud as asked on average."""
+def test_drives_are_judged_correctly():
+    """Find the naive sum uneven, the default exact, and its mean as requested."""
     found = {r.method: r for r in judge_methods(20)}
     assert found["exact"].deviation < 0.005 < 0.2 < found["naive"].deviation
     assert found["exact"].uniformity > 0.99
@@ -86,7 +86,7 @@ def test_drives_are_judged_as_they_are():
 
 
 def test_width_of_a_focus_grows_with_height():
-    """Widen a focus with its distance from the array, to about a wavelength at 30 cm."""
+    """Widen a focus with distance from the array, to about a wavelength at 30 cm."""
     array = TransducerArray.preset("stratos_explore")
     near, far = (touch_report.focus_width(array, height) for height in (0.1, 0.3))
     assert 0.35 < near / array.wavelength < 0.55
@@ -94,7 +94,7 @@ def test_width_of_a_focus_grows_with_height():
 
 
 def test_pictures_and_tables_are_written(tmp_path: Path):
-    """Write drives' table and picture, and materials' picture, from few sets and made-up clays."""
+    """Write the table and picture of drives, and the picture of materials."""
     lines = touch_report._drives(tmp_path, 3)
     assert sum(line.startswith(("| exact", "| 32 phases", "| autd3")) for line in lines) == 3
     clays = [

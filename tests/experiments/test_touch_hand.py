@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Touch of the solver's own hand: figures 4 and 6 hold for it."""
+"""Touch of the solver's hand: the paper's figures 4 and 6 hold for it."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from tactile_clay.tests.experiments.touch_hand import HandPress, draw_presses, p
 
 @pytest.fixture(scope="module")
 def presses() -> list[HandPress]:
-    """Soft and stiffer clay, coarse."""
+    """Presses into soft and stiffer clay, with coarse particles."""
     return press_hands(("wet_clay", "plasticine"), depth=0.008, spacing=0.01)
 
 
 def test_contact_forces_are_those_on_the_hand(presses: list[HandPress]):
-    """Add the ghosts' forces up to the hand's, over most of its palm side."""
+    """Sum the ghosts' forces to the hand's, over most of its palm side."""
     for press in presses:
         lifted = press.touch.contacts.forces[:, 2].sum()
         assert lifted == pytest.approx(press.force, rel=1e-3)
@@ -23,7 +23,7 @@ def test_contact_forces_are_those_on_the_hand(presses: list[HandPress]):
 
 
 def test_more_plastic_clay_is_felt_as_softer(presses: list[HandPress], tmp_path: Path):
-    """Press less with clay that yields sooner, under the same movement (figure 6)."""
+    """Feel less pressure from clay that yields sooner, under the same motion (figure 6)."""
     soft, stiff = presses
     assert soft.contact_pressure < 0.5 * stiff.contact_pressure
     pressures = [p.touch.weighted.foci.pressures.mean() for p in presses]
@@ -33,6 +33,6 @@ def test_more_plastic_clay_is_felt_as_softer(presses: list[HandPress], tmp_path:
 
 
 def test_weights_serve_finger_pads(presses: list[HandPress]):
-    """Render pads of a hand in clay better with weights (figure 4)."""
+    """Render the pads of a hand in clay better with weights (figure 4)."""
     touch = presses[1].touch
     assert touch.on_pads(touch.weighted).error < 0.95 * touch.on_pads(touch.even).error

@@ -17,7 +17,7 @@ from tactile_clay.tests.experiments.tracked_hands_picture import (
 
 
 def test_bones_are_as_thick_as_the_hand() -> None:
-    """Draw a bone a radius around its line, and a hand of a hand's size."""
+    """Draw bones with their radius, and a hand of realistic size."""
     bone = round_cone(np.zeros(3), np.array([0.0, 0.1, 0.0]), 0.01, 0.005).reshape(-1, 3)
     assert np.allclose([bone.min(0), bone.max(0)], [[-0.01] * 3, [0.01, 0.105, 0.01]], atol=6e-4)
     tracker = HandTracker()
@@ -28,7 +28,7 @@ def test_bones_are_as_thick_as_the_hand() -> None:
 
 
 def test_sheet_is_drawn(tmp_path: Path) -> None:
-    """Draw a picture of a recording of two hands, one of which goes."""
+    """Draw a recording of two hands, one of which disappears."""
     recorder = Recorder(tmp_path / "take.jsonl")
     for number in range(60):
         for side, x in (("left", -0.15), ("right", 0.15)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A thread of clay that hangs under its own weight: it holds, or draws out."""
+"""A thread of clay hanging under its own weight, which holds or draws out."""
 
 import math
 from dataclasses import dataclass, replace
@@ -14,19 +14,19 @@ from .shapes import at, block
 
 GRAVITY = 9.81
 SINKING = 0.002
-"""Speed at which the support sinks away [m/s]."""
+"""Speed at which the support is lowered [m/s]."""
 
 
 @dataclass(frozen=True)
 class Thread:
-    """A thread after a while."""
+    """A hanging thread at the end."""
 
     length_ratio: float
-    """Its length over the longest that theory lets hang, √3 τ_y / ρ g."""
+    """Length over the longest that holds by theory, √3 τ_y / ρ g."""
     stretch: float
-    """What its end sank over its length."""
+    """Sinking of its end over its length."""
     piece_count: int
-    """What it is in."""
+    """Number of pieces."""
 
 
 def hang(
@@ -39,19 +39,19 @@ def hang(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Thread:
-    """Hang a thread whose yield stress puts it at a ratio of the longest that holds.
+    """Hang a thread whose yield stress is set by the ratio of its length to the longest that holds.
 
     Its head, of a clay that does not yield, is held by two jaws. A plate carries the thread at
-    first and sinks away, so that its weight comes on slowly.
+    first and is lowered, so that the load builds up slowly.
 
     Args:
         length_ratio: Length over √3 τ_y / ρ g.
-        width: Particles across.
-        length: Particles along.
-        duration: How long it is let down, and how long it hangs then [s].
+        width: Number of particles across.
+        length: Number of particles along.
+        duration: Duration of the lowering, and of the hanging after it [s].
         spacing: Particle spacing [m].
         material: The clay; its yield stress is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = material or Material()
     height, head = length * spacing, 4

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What touch comes to: from contacts on a hand to foci, judged against the pressure wanted.
+"""Touch from contacts on a hand to foci, judged against the wanted pressure.
 
-`render_touch` takes any contacts, those of a simulated hand too; the ones made here are of the
-generated hand laid flat onto something soft, and of a ball that the solver presses into clay.
+`render_touch` takes any contacts, including those of a simulated hand; the ones made here are those
+of a generated hand laid flat onto something soft, and of a ball that the solver presses into clay.
 """
 
 from __future__ import annotations
@@ -37,39 +37,45 @@ from .press import press
 Array = NDArray[np.float64]
 
 PAD_WEIGHT = 0.95
-"""Skin of a greater weight is counted as a finger pad."""
+"""Skin with a greater weight counts as finger pad."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Ghosts and the forces on them, as a solver gives them."""
+    """Ghosts and the forces on them, as a solver reports them."""
 
     positions: Array
-    """[m], shape [G, 3]."""
+    """Positions of the ghosts [m], shape [G, 3]."""
     normals: Array
-    """Shape [G, 3]."""
+    """Outward unit normals, shape [G, 3]."""
     areas: Array
-    """[m²], shape [G]."""
+    """Area of skin of each [m²], shape [G]."""
     forces: Array
-    """[N], shape [G, 3]."""
+    """Force on each [N], shape [G, 3]."""
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """How a rendered pressure differs from the one wanted."""
+    """Difference between rendered and wanted pressure."""
 
     error: float
-    """Root mean square over area of the difference, over that of the pressure wanted."""
+    """RMS of the difference over the area, over that of the wanted pressure."""
     shape_error: float
-    """The same at the best common gain: what is left where strength can be chosen."""
+    """The same at the best common gain, that is, regardless of strength."""
     coverage: float
-    """Part of the touched skin that gets half its pressure or more, at the best common gain."""
+    """Fraction of the touched skin with at least half its pressure at the best common gain."""
     gain: float
-    """That gain."""
+    """The best common gain."""
 
 
 def misfit(found: Array, wanted: Array, areas: Array) -> Misfit:
-    """Judge a pressure, all of shape [P]; skin with a fifth of the largest pressure is touched."""
+    """Judge a pressure; skin with over a fifth of the largest pressure counts as touched.
+
+    Args:
+        found: Rendered pressure [Pa], shape [P].
+        wanted: Wanted pressure [Pa], shape [P].
+        areas: Area of skin of each point [m²], shape [P].
+    """
     power = float((areas * wanted * wanted).sum())
     gain = float((areas * found * wanted).sum()) / max(float((areas * found * found).sum()), 1e-30)
     touched = wanted > 0.2 * wanted.max()
@@ -83,7 +89,7 @@ def misfit(found: Array, wanted: Array, areas: Array) -> Misfit:
 
 
 def array_below(name: str = "stratos_explore", height: float = 0.2) -> TransducerArray:
-    """An array under the generated hand's palm that faces it."""
+    """An array under the generated hand's palm, facing it."""
     pose = np.eye(4)
     pose[:3, 3] = (0.0, 0.1, -height)
     return TransducerArray.preset(name).placed(pose)
@@ -94,40 +100,40 @@ class Hand:
     """A hand and its perceptual weights."""
 
     rig: HandRig
-    """The hand as it was bound, palm down."""
+    """The bound hand, palm down."""
     skin: SkinSensitivity
     """Perceptual weights."""
 
     def on_vertices(self, ghosts: NDArray[np.intp], values: Array) -> Array:
-        """Values of some ghosts, 0 of the others, at the vertex next to each, shape [V]."""
-        told = np.zeros(len(self.skin.ghosts))
-        told[ghosts] = values
+        """Map values of some ghosts, 0 for the others, to the nearest vertices, shape [V]."""
+        all_values = np.zeros(len(self.skin.ghosts))
+        all_values[ghosts] = values
         places = self.rig.carried_ghosts(self.rig.nodes)
         size = 0.5 * np.square(places).sum(1)
         parts = np.array_split(self.rig.vertices, max(1, len(places) // 500))
         nearest = [(part @ places.T - size).argmax(1) for part in parts]
-        return told[np.concatenate(nearest)]
+        return all_values[np.concatenate(nearest)]
 
 
 def generated_hand(pose: str = "flat", *, edge_length: float = 0.004) -> Hand:
-    """The hand that touches below."""
+    """A generated hand, palm down."""
     rig = bare_rig(pose=pose, edge_length=edge_length)
     return Hand(rig, SkinSensitivity.of(rig))
 
 
 def sink(hand: Hand, pressure: float = 15e3, *, where: NDArray[np.bool_] | None = None) -> Contacts:
-    """Contacts of a hand that has sunk into clay, palm down.
+    """Contacts of a hand sunk into clay, palm down.
 
-    Clay that flows around a body presses on it nearly evenly, across its surface; less so where
-    skin turns away from the way it goes.
+    Clay that flows around a body presses on it nearly evenly and normal to its surface, but less
+    where the skin faces away from the motion.
 
     Args:
         hand: The hand.
-        pressure: On skin that faces straight down [Pa].
-        where: Ghosts that are touched, shape [G]; all below the hand where not given.
+        pressure: Pressure on skin that faces straight down [Pa].
+        where: Whether each ghost is touched, shape [G]; by default all on the hand.
     """
     normals, areas = vertex_normals_and_areas(hand.rig.vertices, hand.rig.faces)
-    # An arm reaches out of the clay.
+    # The arm reaches out of the clay.
     touched = (hand.rig.vertices[:, 1] > 0.0) if where is None else where
     pressed = pressure * np.clip(-normals[:, 2], 0.0, 1.0) * touched
     return Contacts(hand.rig.vertices, normals, areas, -(pressed * areas)[:, None] * normals)
@@ -135,14 +141,14 @@ def sink(hand: Hand, pressure: float = 15e3, *, where: NDArray[np.bool_] | None 
 
 @dataclass(frozen=True)
 class Touch:
-    """Contacts as foci."""
+    """Contacts rendered as foci."""
 
     field: PressureField
-    """What is wanted."""
+    """Wanted pressure."""
     foci: Foci
     """Foci of amplitude modulation."""
     rendered: Array
-    """Pressure that they give [Pa], shape [F]."""
+    """Pressure of the foci [Pa], shape [F]."""
 
 
 def render_touch(
@@ -153,14 +159,14 @@ def render_touch(
     count: int = 8,
     rule: str = "least_squares",
 ) -> Touch:
-    """Foci for the contacts of any hand.
+    """Render the contacts of any hand as foci.
 
     Args:
-        contacts: Of the hand.
-        array: That renders them.
-        weights: Perceptual weight of each ghost, shape [G]; even where not given.
-        count: Foci at most.
-        rule: How foci get their pressures.
+        contacts: Contacts of the hand.
+        array: The array that renders them.
+        weights: Perceptual weight of each ghost, shape [G]; uniform by default.
+        count: Largest number of foci.
+        rule: Rule for the pressures of foci.
     """
     field = PressureField.from_contacts(contacts, array.position, weights=weights)
     foci = focus(
@@ -177,23 +183,23 @@ def render_touch(
 
 @dataclass(frozen=True)
 class WeightsComparison:
-    """One contact rendered with perceptual weights and without (the paper's figure 4)."""
+    """A contact rendered with and without perceptual weights (the paper's figure 4)."""
 
     hand: Hand
-    """That touches."""
+    """The hand."""
     contacts: Contacts
-    """On it."""
+    """Contacts of the hand."""
     weighted: Touch
-    """With weights."""
+    """Rendered with weights."""
     even: Touch
-    """Without."""
+    """Rendered without weights."""
 
     def on_pads(self, touch: Touch) -> Misfit:
-        """How well finger pads are served."""
+        """Misfit on finger pads."""
         return self._on(touch, pads=True)
 
     def elsewhere(self, touch: Touch) -> Misfit:
-        """And the rest of the hand."""
+        """Misfit on the rest of the hand."""
         return self._on(touch, pads=False)
 
     def _on(self, touch: Touch, *, pads: bool) -> Misfit:
@@ -203,7 +209,7 @@ class WeightsComparison:
 
 
 def compare_weights(hand: Hand, *, count: int = 8) -> WeightsComparison:
-    """Render a hand that has sunk into clay, with and without weights."""
+    """Render a hand sunk into clay, with and without weights."""
     contacts, array = sink(hand), array_below()
     weighted = render_touch(contacts, array, weights=hand.skin.ghosts, count=count)
     even = render_touch(contacts, array, count=count)
@@ -212,25 +218,25 @@ def compare_weights(hand: Hand, *, count: int = 8) -> WeightsComparison:
 
 @dataclass(frozen=True)
 class MaterialTouch:
-    """What pressing a clay feels like (the paper's figure 6)."""
+    """The feel of pressing a clay (the paper's figure 6)."""
 
     name: str
-    """Preset."""
+    """Name of the preset."""
     yield_stress: float
-    """[Pa]."""
+    """Yield stress of the clay [Pa]."""
     force: float
-    """On the ball, at full depth and moving [N]."""
+    """Force on the ball at full depth while moving [N]."""
     contact_pressure: float
-    """Mean over the ball's contact [Pa]."""
+    """Mean pressure over the ball's contact [Pa]."""
     focal_pressure: float
-    """Of the strongest focus [Pa]."""
+    """Pressure of the strongest focus [Pa]."""
 
 
 def press_materials(names: Sequence[str]) -> list[MaterialTouch]:
-    """Press a fingertip-sized ball into clays and render what it feels.
+    """Press a fingertip-sized ball into clays, and render the contact.
 
-    The force is the solver's; it is spread evenly over the ball's contact, as theory has it for a
-    punch into a plastic body. `render_touch` takes a hand's own contacts in their place.
+    The force is the solver's, spread evenly over the ball's contact as in the theory of a punch
+    into a plastic body.
     """
     radius, depth = 0.012, 0.012
     results = []
@@ -256,12 +262,12 @@ def _pressed(touch: Touch) -> Array:
 
 
 def ball_contacts(radius: float, depth: float, force: float) -> Contacts:
-    """Contacts of a ball that is pressed down with a force, even pressure over its contact.
+    """Contacts of a ball pressed down, with uniform pressure over its contact.
 
     Args:
-        radius: Of the ball [m].
-        depth: How deep it went in [m].
-        force: Upward, on the ball [N].
+        radius: Radius of the ball [m].
+        depth: Depth of the press [m].
+        force: Upward force on the ball [N].
     """
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
     normals, areas = vertex_normals_and_areas(np.asarray(sphere.vertices), np.asarray(sphere.faces))
@@ -274,22 +280,22 @@ def ball_contacts(radius: float, depth: float, force: float) -> Contacts:
 
 @dataclass(frozen=True)
 class RuleComparison:
-    """Equation 9 as printed, and its true minimizer, on one contact."""
+    """Equation 9 as printed and its true minimizer, on one contact."""
 
     contact: str
-    """What is touched."""
+    """Name of the contact."""
     focus_count: int
-    """Foci used."""
+    """Number of foci."""
     true: Misfit
-    """With the minimizer."""
+    """Misfit with the minimizer."""
     printed: Misfit
-    """As printed."""
+    """Misfit with the equation as printed."""
     gain: float
-    """By how much printed pressures are too small."""
+    """Factor by which pressures as printed are too small."""
 
 
 def compare_rules(hand: Hand) -> list[RuleComparison]:
-    """Reconstruct contacts of several sizes by both rules."""
+    """Reconstruct contacts of several sizes with both rules."""
     array = array_below()
     results = []
     for name, contacts in contact_sizes(hand).items():
@@ -326,34 +332,34 @@ class ModulationComparison:
     """Amplitude and spatiotemporal modulation of one contact."""
 
     contact: str
-    """What is touched."""
+    """Name of the contact."""
     touched_area: float
-    """[m²]."""
+    """Area of the touched skin [m²]."""
     field: PressureField
-    """What is wanted."""
+    """Wanted pressure."""
     foci: Foci
-    """Of amplitude modulation."""
+    """Foci of amplitude modulation."""
     route: Route
-    """Of spatiotemporal modulation."""
+    """Route of spatiotemporal modulation."""
     amplitude: Misfit
-    """Of the foci's Gaussians."""
+    """Misfit of the foci's Gaussians."""
     spatiotemporal: Misfit
-    """Of the time average of the route's Gaussians."""
+    """Misfit of the time average of the route's Gaussians."""
     amplitude_sound: Misfit
-    """Of the array's simulated sound pressure: foci at once."""
+    """Misfit of the array's simulated sound pressure with all foci at once."""
     spatiotemporal_sound: Misfit
-    """Time average of the same along the route."""
+    """Misfit of the time average of the simulated sound pressure along the route."""
 
 
 def compare_modulations(
     hand: Hand, *, count: int = 8, samples: int = 120
 ) -> list[ModulationComparison]:
-    """Render contacts of several sizes by both modulations, with as many foci at a time.
+    """Render contacts of several sizes with both modulations.
 
     Args:
-        hand: That touches.
-        count: Foci at a time, at most.
-        samples: Moments of a round that the sound is averaged over.
+        hand: The hand.
+        count: Largest number of simultaneous foci of amplitude modulation.
+        samples: Number of times in a round over which the sound is averaged.
     """
     array = array_below()
     results = []
@@ -384,7 +390,7 @@ def compare_modulations(
 
 
 def sound_along(array: TransducerArray, route: Route, points: Array, samples: int = 120) -> Array:
-    """Mean over a round of an array's sound pressure at points [Pa, peak], shape [P]."""
+    """An array's peak sound pressure at points, averaged over a round [Pa], shape [P]."""
     transfer = propagation(array, points)
     total = np.zeros(len(points))
     for sample in range(samples):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The default hand, soft, pressed into clay by the solver, and what an array lets it feel.
+"""The default soft hand pressed into clay by the solver, and rendered by an array.
 
-The paper's figures 4 and 6 from this simulation.
+Reproduces the paper's figures 4 and 6 from this simulation.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ MATERIALS = ("wet_clay", "soft_play_dough", "plasticine", "throwing_clay")
 
 @dataclass(frozen=True)
 class HandPress:
-    """A hand at full depth, still moving."""
+    """A hand pressed to full depth, still moving."""
 
     material: str
-    """The clay's preset."""
+    """Preset of the clay."""
     yield_stress: float
-    """Of the clay [Pa]."""
+    """Yield stress of the clay [Pa]."""
     force: float
-    """On the hand, upward [N]."""
+    """Upward force on the hand [N]."""
     touch: WeightsComparison
-    """Rendered with and without perceptual weights."""
+    """Touch with and without perceptual weights."""
 
     @property
     def touched_area(self) -> float:
-        """Skin under more than a kilopascal [m²]."""
+        """Area of skin under more than a kilopascal [m²]."""
         field = self.touch.even.field
         return float(field.areas[field.contact_pressures > 1e3].sum())
 
     @property
     def contact_pressure(self) -> float:
-        """Mean over that skin [Pa]."""
+        """Mean pressure over that skin [Pa]."""
         field = self.touch.even.field
         pressed = field.contact_pressures > 1e3
         return float(np.average(field.contact_pressures[pressed], weights=field.areas[pressed]))
@@ -59,12 +59,12 @@ class HandPress:
 def press_hands(
     names: Sequence[str], *, depth: float = 0.01, spacing: float = SPACING
 ) -> list[HandPress]:
-    """Press the default hand into clay that bears its print, palm down, one after another.
+    """Press the default hand, palm down, into clays that bear its imprint.
 
     Args:
         names: Presets of the clays.
-        depth: How far the hand goes down from where its whole palm side touches [m].
-        spacing: Of the clay's particles [m].
+        depth: How far the hand moves down after its whole palm side touches [m].
+        spacing: Particle spacing [m].
     """
     rig = default_hand_rig("right", clay_spacing=spacing)
     hand = Hand(rig, SkinSensitivity.of(rig))
@@ -74,7 +74,7 @@ def press_hands(
 def _press(hand: Hand, name: str, depth: float, spacing: float) -> HandPress:
     material = Material.preset(name)
     rig = hand.rig
-    points, floor = _mould(hand, depth, spacing)
+    points, floor = _mold(hand, depth, spacing)
     scene = Scene(spacing)
     scene.add_clay(points, material)
     scene.add_plane((0.0, 0.0, floor), (0.0, 0.0, 1.0))
@@ -89,8 +89,8 @@ def _press(hand: Hand, name: str, depth: float, spacing: float) -> HandPress:
         places = zip(rig.bone_names, rig.bone_rest, strict=True)
         pressing.set_bones({bone: down @ rest for bone, rest in places})
         solver.step(FRAME)
-    told = solver.contacts(pressing)
-    contacts = Contacts(told.positions, told.normals, told.areas, told.forces)
+    reported = solver.contacts(pressing)
+    contacts = Contacts(reported.positions, reported.normals, reported.areas, reported.forces)
     array = array_below()
     touch = WeightsComparison(
         hand,
@@ -101,13 +101,13 @@ def _press(hand: Hand, name: str, depth: float, spacing: float) -> HandPress:
     return HandPress(name, material.yield_stress, float(solver.force_on(pressing)[2]), touch)
 
 
-def _mould(hand: Hand, depth: float, spacing: float) -> tuple[NDArray[np.float64], float]:
-    """Clay that the hand's whole palm side meets at once: its print, a little wider.
+def _mold(hand: Hand, depth: float, spacing: float) -> tuple[NDArray[np.float64], float]:
+    """Make clay that the hand's whole palm side touches at once: its imprint, slightly widened.
 
     Args:
         hand: The hand, palm down.
-        depth: How deep it will go [m].
-        spacing: Of the particles [m].
+        depth: Depth of the press to come [m].
+        spacing: Particle spacing [m].
 
     Returns:
         Particles [m], shape [N, 3], and the height of the table [m].
@@ -132,7 +132,7 @@ def _mould(hand: Hand, depth: float, spacing: float) -> tuple[NDArray[np.float64
 
 
 def draw_presses(presses: Sequence[HandPress], path: Path) -> None:
-    """Pressure on the hand and the foci that stand for it, a column for each clay."""
+    """Draw the pressure on the hand and the foci that render it, one column per clay."""
     picture = Picture(
         figsize=(2.7 * len(presses), 4.3), dpi=150, facecolor=touch_pictures.PAPER,
         layout="constrained",
@@ -150,17 +150,17 @@ def draw_presses(presses: Sequence[HandPress], path: Path) -> None:
 
 
 def press_lines(folder: Path) -> list[str]:
-    """The report's part on it, with its pictures."""
+    """Lines of the report's section, and its pictures."""
     presses = press_hands(MATERIALS)
     chosen = next(p for p in presses if p.material == "plasticine")
     touch_pictures.draw_weights(chosen.touch, folder / "touch_hand_weights.png")
     draw_presses(presses, folder / "touch_hand_materials.png")
     lines = [
-        "### The solver's own hand",
+        "### The solver's hand",
         "",
-        "The default hand, soft, pressed 10 mm deeper into clay that bears its print, at 60 mm/s: "
-        "into plasticine, rendered without and with perceptual weights, and into clays of rising "
-        "yield stress.",
+        "The default soft hand is pressed 10 mm deep into clay that bears its imprint, at 60 mm/s: "
+        "into plasticine, rendered without and with perceptual weights, and into clays of "
+        "increasing yield stress.",
         "",
         "![A hand in plasticine](touch_hand_weights.png)",
         "",

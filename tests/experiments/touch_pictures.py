@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The pictures of touch: hands seen from the palm's side, colored by pressure."""
+"""Pictures of touch: hands seen from the palm side, colored by pressure."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def draw_palm(
     colors: LinearSegmentedColormap = HEAT,
     top: float,
 ) -> None:
-    """Draw the palm's side of a hand, one value a vertex."""
+    """Draw the palm side of a hand, with one value per vertex."""
     places = hand.rig.vertices
     faces = hand.rig.faces
     corners = places[faces]
@@ -50,7 +50,7 @@ def draw_palm(
     flat = corners[seen][order][:, :, :2] * (-1e3, 1e3)
     value = values[faces[seen][order]].mean(1)
     color = colors(Normalize(0.0, top)(value))
-    # A little shade shows the shape.
+    # Slight shading shows the shape.
     color[:, :3] *= (0.72 + 0.28 * -normal[seen][order, 2])[:, None]
     axes.add_collection(
         PolyCollection(list(flat), facecolors=color, edgecolors=color, linewidths=0.3)
@@ -63,7 +63,7 @@ def draw_palm(
 
 
 def draw_foci(axes: Axes, foci: Foci, top: float) -> None:
-    """Draw foci as rings, larger for more pressure."""
+    """Draw foci as rings, larger for higher pressure."""
     axes.scatter(
         -1e3 * foci.positions[:, 0],
         1e3 * foci.positions[:, 1],
@@ -82,7 +82,7 @@ def draw_scale(
     *,
     colors: LinearSegmentedColormap = HEAT,
 ) -> None:
-    """Draw what the colors mean, beside panels."""
+    """Draw a color scale beside panels."""
     bar = picture.colorbar(
         ScalarMappable(Normalize(0.0, top), colors), ax=list(axes), shrink=0.6, pad=0.01, aspect=24
     )
@@ -92,7 +92,7 @@ def draw_scale(
 
 
 def draw_weights(result: WeightsComparison, path: Path) -> None:
-    """The target, the weights, and what is rendered with and without them, after figure 4."""
+    """Draw target, weights, and rendered pressure with and without them, after figure 4."""
     picture = Picture(figsize=(11.5, 4.6), dpi=150, facecolor=PAPER, layout="constrained")
     panels = list(picture.subplots(1, 4))
     hand, weighted, even = result.hand, result.weighted, result.even
@@ -117,7 +117,7 @@ def draw_weights(result: WeightsComparison, path: Path) -> None:
 
 
 def draw_modulations(results: Sequence[ModulationComparison], hand: Hand, path: Path) -> None:
-    """Target, amplitude and spatiotemporal modulation, a row for each contact."""
+    """Draw target, amplitude and spatiotemporal modulation, one row per contact."""
     rows = [r for r in results if r.contact in ("palm", "whole hand")]
     picture = Picture(
         figsize=(8.6, 4.5 * len(rows)), dpi=150, facecolor=PAPER, layout="constrained"
@@ -133,26 +133,26 @@ def draw_modulations(results: Sequence[ModulationComparison], hand: Hand, path: 
             (
                 panels[1],
                 still,
-                f"{r.foci.count} foci at once\nerror of shape {r.amplitude.shape_error:.0%}",
+                f"{r.foci.count} foci at once\nshape error {r.amplitude.shape_error:.0%}",
             ),
             (
                 panels[2],
                 moving,
                 f"{r.route.focus_count} foci on a route, time average\n"
-                f"error of shape {r.spatiotemporal.shape_error:.0%}",
+                f"shape error {r.spatiotemporal.shape_error:.0%}",
             ),
         ):
             shown = hand.on_vertices(field.ghosts, values)
             draw_palm(axes, hand, shown, title, top=top)
         draw_foci(panels[1], r.foci, top)
-        way = np.vstack((r.route.positions, r.route.positions[:1]))
-        panels[2].plot(-1e3 * way[:, 0], 1e3 * way[:, 1], color=INK, linewidth=0.7, alpha=0.7)
+        loop = np.vstack((r.route.positions, r.route.positions[:1]))
+        panels[2].plot(-1e3 * loop[:, 0], 1e3 * loop[:, 1], color=INK, linewidth=0.7, alpha=0.7)
         draw_scale(picture, list(panels[2:]), top, "Pa, at the best gain")
     picture.savefig(path)
 
 
 def draw_materials(results: Sequence[MaterialTouch], path: Path) -> None:
-    """Contact and focal pressure against the clay's yield stress, after figure 6."""
+    """Draw contact and focal pressure against the clay's yield stress, after figure 6."""
     picture = Picture(figsize=(6.4, 3.4), dpi=150, facecolor=PAPER, layout="constrained")
     axes = picture.subplots()
     axes.set_facecolor(PAPER)
@@ -188,7 +188,7 @@ def draw_materials(results: Sequence[MaterialTouch], path: Path) -> None:
 
 
 def draw_drives(results: Sequence[DriveStatistics], path: Path) -> None:
-    """How achieved over wanted pressure is spread, one row a method or driver board."""
+    """Draw the spread of achieved over wanted pressure, one row per method or driver board."""
     picture = Picture(
         figsize=(7.2, 0.34 * len(results) + 1.0), dpi=150, facecolor=PAPER, layout="constrained"
     )

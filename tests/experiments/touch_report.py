@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report's part on touch: how well what is wanted is rendered, in tables and pictures.
+"""The report's section on touch: accuracy of the rendering, in tables and pictures.
 
-``python -m tactile_clay.tests.experiments.touch_report FOLDER`` writes it alone, as touch.md.
+``python -m tactile_clay.tests.experiments.touch_report FOLDER`` writes only this, as touch.md.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ MATERIALS = ("wet_clay", "soft_play_dough", "plasticine", "throwing_clay", "stif
 
 
 def run_touch(folder: Path, *, sets: int = 1000) -> list[str]:
-    """Run all of it and draw the pictures.
+    """Run all experiments on touch, and draw the pictures.
 
     Args:
-        folder: Where pictures go.
-        sets: Random sets of foci that drives are judged on.
+        folder: Folder for the pictures.
+        sets: Number of random sets of foci on which drives are judged.
 
     Returns:
         Lines of Markdown.
     """
     hand = generated_hand()
     lines = [
-        "A hand sunk into clay, pressed evenly from below with 15 kPa, above an array at 20 cm. "
-        "Errors are root mean squares over the skin that faces the array, over that of the "
-        "pressure wanted; *of shape* is what is left at the best common gain; *coverage* is the "
-        "part of the touched skin that then gets at least half its pressure.",
+        "A hand sunk into clay, pressed evenly from below with 15 kPa, 20 cm above an array. "
+        "Errors are root mean squares over the skin that faces the array, relative to that of the "
+        "wanted pressure; the *shape error* is that at the best common gain; *coverage* is the "
+        "fraction of the touched skin that then gets at least half its pressure.",
         "",
     ]
     lines += _weights(hand, folder)
@@ -86,7 +86,7 @@ def _materials(folder: Path) -> list[str]:
     results = press_materials(MATERIALS)
     touch_pictures.draw_materials(results, folder / "touch_materials.png")
     return [
-        "### More plastic clay presses less (figure 6)",
+        "### Softer clay presses less (figure 6)",
         "",
         "A ball of 12 mm is pressed 12 mm into a block at 0.1 m/s; the force is the solver's, "
         "spread evenly over the ball's contact.",
@@ -106,9 +106,9 @@ def _materials(folder: Path) -> list[str]:
 
 def _rules(hand: Hand) -> list[str]:
     return [
-        "### Equation 9: as printed, and its minimizer",
+        "### Equation 9 as printed, and its minimizer",
         "",
-        "| contact | foci | error, minimizer | error, as printed | printed is too small by |",
+        "| contact | foci | error, minimizer | error, as printed | printed too small by |",
         "|---|---|---|---|---|",
         *(
             f"| {r.contact} | {r.focus_count} | {r.true.error:.1%} | {r.printed.error:.1%} "
@@ -131,12 +131,12 @@ def _modulations(hand: Hand, folder: Path) -> list[str]:
         "",
         "![Amplitude and spatiotemporal modulation](touch_modulations.png)",
         "",
-        "*Strength* is what is rendered over what is wanted: a moving focus is in each place for "
-        "a part of the time only. *Gaussian* takes foci for what the paper takes them for; *sound* "
-        "is the simulated pressure of the whole array, what comes between foci included.",
+        "*Strength* is rendered over wanted pressure: a moving focus is at each point only part of "
+        "the time. *Gaussian* models foci as the paper does; *sound* is the simulated pressure "
+        "of the whole array, including the field between foci.",
         "",
-        "| contact | modulation | foci | a place is passed | Gaussian: error of shape | coverage "
-        "| strength | sound: error of shape | coverage | strength |",
+        "| contact | modulation | foci | a point is passed | Gaussian: shape error | coverage "
+        "| strength | sound: shape error | coverage | strength |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for r in results:
@@ -153,13 +153,13 @@ def _modulations(hand: Hand, folder: Path) -> list[str]:
 
 
 def _focus_widths() -> list[str]:
-    """How wide a focus really is, beside the wavelength that the paper takes."""
+    """Table of the actual width of a focus, compared with the paper's wavelength."""
     heights = (0.10, 0.15, 0.20, 0.30)
     lines = [
-        "### How wide a focus is",
+        "### Width of a focus",
         "",
-        "Standard deviation of the Gaussian that falls to e^-½ where the simulated focus does, "
-        "over the wavelength, which is what equation 9 takes; by height above the array.",
+        "Standard deviation of the Gaussian that falls to e^-½ at the same distance as the "
+        "simulated focus, over the wavelength, which equation 9 uses; by height above the array.",
         "",
         f"| array | {' | '.join(f'{100 * height:.0f} cm' for height in heights)} |",
         "|---" * (len(heights) + 1) + "|",
@@ -187,18 +187,18 @@ def _drives(folder: Path, sets: int) -> list[str]:
     return [
         "### Drives",
         "",
-        f"{sets:,} random sets of 1 to 32 foci in 12 × 12 × 10 cm above 16 × 16 transducers, of "
-        "unequal pressures. *Spread* is the standard deviation of achieved over wanted, each set "
-        "at its own mean; *uniformity* 1 − (max − min)/(max + min) of a set; *weakest* what 99 in "
-        "100 foci get at least. Time is one core's.",
+        f"{sets:,} random sets of 1 to 32 foci with unequal pressures, in 12 × 12 × 10 cm above "
+        "16 × 16 transducers. *Spread* is the standard deviation of achieved over wanted pressure, "
+        "relative to the mean of each set; *uniformity* is 1 − (max − min)/(max + min) of a set; "
+        "*weakest* is the ratio that 99 of 100 foci exceed. Times are on one core.",
         "",
         "![Achieved over wanted pressure](touch_drives.png)",
         "",
         *_drive_table("method", [(r.method, r) for r in methods]),
-        "What the steps of a driver board lose, with the default method:",
+        "Loss from the quantization of driver boards, with the default method:",
         "",
         *_drive_table("driver", [(r.array, r) for r in steps]),
-        "Presets, 1 to 8 foci of .3 to 1 times .3/√K of what the array gives one focus at 20 cm:",
+        "Presets, K = 1 to 8 foci of .3 to 1 times .3/√K of the pressure of one focus at 20 cm:",
         "",
         *_drive_table("array", [(r.array, r) for r in presets]),
     ]
@@ -220,5 +220,5 @@ def _drive_table(title: str, rows: Sequence[tuple[str, DriveStatistics]]) -> lis
 if __name__ == "__main__":
     output = Path(sys.argv[1] if len(sys.argv) > 1 else "build/report")
     output.mkdir(parents=True, exist_ok=True)
-    text = "\n".join(["# What touch was measured to do", "", *run_touch(output)])
+    text = "\n".join(["# Measurements of touch", "", *run_touch(output)])
     (output / "touch.md").write_text(text + "\n", encoding="utf-8")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A contact sheet of a recording: both hands as they would be shown, laid on rigs of fixed lengths.
+"""A contact sheet of a recording: both hands as they would be shown, on rigs of fixed lengths.
 
     python -m tactile_clay.tests.experiments.tracked_hands_picture RECORDING --output sheet.png
 
@@ -35,7 +35,7 @@ LIGHT = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
 
 
 def reference_target(side: str) -> HandTarget:
-    """A rig with the reference hand's measures."""
+    """A rig with the reference hand's proportions."""
     reference = reference_hand(side)
     bones = {}
     for number, name in enumerate(JOINT_NAMES):
@@ -64,12 +64,12 @@ def round_cone(start: Array, end: Array, first: float, second: float) -> Array:
 
 
 def hand_triangles(target: HandTarget, hand: TrackedHand) -> Array:
-    """A hand's bones as they lie on the rig [m], shape [T, 3, 3]."""
+    """Triangles of a hand's bones, posed on the rig [m], shape [T, 3, 3]."""
     posed = target.posed(hand.positions, hand.quaternions, hand.valid)
     places = np.array([posed[name][:3, 3] for name in JOINT_NAMES])
     radii = reference_hand(target.side).radii
     bones = [(joint, PARENTS[joint]) for finger in FINGERS for joint in finger]
-    # The palm's sides, between the bases and between the heads of the metacarpals.
+    # The palm: between the bases, and between the heads, of the metacarpals.
     bones += [(6, 11), (11, 16), (16, 21), (7, 12), (12, 17), (17, 22), (2, 6)]
     return np.concatenate(
         [round_cone(places[b], places[a], float(radii[b]), float(radii[a])) for a, b in bones]
@@ -79,7 +79,7 @@ def hand_triangles(target: HandTarget, hand: TrackedHand) -> Array:
 def draw(
     axes: Any, hands: Sequence[TrackedHand], targets: dict[str, HandTarget], title: str
 ) -> None:
-    """Draw the hands of one moment."""
+    """Draw the hands at one time."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     everything = []
@@ -106,7 +106,7 @@ def draw(
 
 
 def contact_sheet(recording: Path, output: Path) -> None:
-    """Draw twelve moments of a recording into a picture."""
+    """Draw a recording at twelve times into a picture."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -120,16 +120,16 @@ def contact_sheet(recording: Path, output: Path) -> None:
     figure = plt.figure(figsize=(3.2 * COLUMNS, 3.2 * ROWS))
     for number, time in enumerate(times):
         axes = figure.add_subplot(ROWS, COLUMNS, number + 1, projection="3d")
-        there = [hand for side in hands if (hand := hands[side][number]) is not None]
-        words = [f"{hand.side} {hand.state} {hand.contact:.0%}" for hand in there]
-        draw(axes, there, targets, f"{time * 1e-9:.2f} s: " + (", ".join(words) or "no hand"))
+        present = [hand for side in hands if (hand := hands[side][number]) is not None]
+        words = [f"{hand.side} {hand.state} {hand.contact:.0%}" for hand in present]
+        draw(axes, present, targets, f"{time * 1e-9:.2f} s: " + (", ".join(words) or "no hand"))
     figure.tight_layout()
     figure.savefig(output, dpi=80)
     plt.close(figure)
 
 
 def main() -> None:
-    """Draw what the command line asks for."""
+    """Draw the recording named on the command line."""
     parser = argparse.ArgumentParser(description="Draw a contact sheet of a recording of hands.")
     parser.add_argument("recording", type=Path, help="a recording, or a Leap's .json.gz")
     parser.add_argument("--output", type=Path, default=Path("build/tracked_hands.png"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay on a potter's wheel, and a disc of clay that spins until it flows."""
+"""Clay on a potter's wheel, and a disc of clay spun until it flows."""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,16 +16,16 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True)
 class Wheel:
-    """A block on a turning wheel, after a while."""
+    """A block on a turning wheel at the end."""
 
     turn_ratio: float
     """Angular velocity of the block about the wheel's axis over that of the wheel."""
     radius_ratio: float
-    """Farthest particle from the block's own middle, after over before."""
+    """Largest distance of a particle from the block's center, after over before."""
     slip: float
-    """What the block's middle moved over the wheel's face [m]."""
+    """Motion of the block's center over the wheel's face [m]."""
     grip: float
-    """μ g / ω² r of the block's middle: it is carried above 1 and thrown off below."""
+    """μ g / ω² r at the block's center: it is carried above 1 and thrown off below."""
     weight_ratio: float
     """Force on the wheel over m g."""
 
@@ -41,17 +41,17 @@ def turn_wheel(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> Wheel:
-    """Start a wheel evenly within one turn, and let it run.
+    """Accelerate a wheel evenly over one turn, and let it run.
 
     Args:
-        rpm: Turns a minute.
-        offset: Of the block's middle from the axis [m].
-        counts: Particles of the block along each axis.
+        rpm: Revolutions per minute.
+        offset: Distance of the block's center from the axis [m].
+        counts: Number of particles of the block along each axis.
         turns: Turns at full speed.
-        friction: Of wheel and clay.
+        friction: Friction coefficient of wheel and clay.
         spacing: Particle spacing [m].
         material: The clay; its friction is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = material or Material(friction=friction)
     rate = rpm * 2 * math.pi / 60
@@ -90,20 +90,20 @@ def turn_wheel(
 
 @dataclass(frozen=True)
 class Lump:
-    """A lump of throwing clay on a wheel that turns at a constant speed."""
+    """A lump of throwing clay on a wheel that turns at constant speed."""
 
     particle_count: int
     substeps: int
-    """Of the last step."""
+    """Substeps of the last step."""
     angle_error: float
-    """Largest angle by which the lump, at any height, got behind the wheel after the first eighth
-    of the way [rad]: in that the clay comes to lie on it."""
+    """Largest angle by which the lump, at any height, lagged behind the wheel after the first
+    eighth of the motion, in which the clay settles on it [rad]."""
     momentum_ratio: float
     """Angular momentum about the axis over that of a rigid body on the wheel."""
     radius_ratio: float
     """Root mean square distance from the axis, after over before."""
     jumps: int
-    """Times the wheel jumped instead of turning through the clay."""
+    """How often the wheel jumped instead of turning."""
 
 
 def turn_lump(
@@ -115,14 +115,14 @@ def turn_lump(
     turns: float = 1.0,
     spacing: float = 0.005,
 ) -> Lump:
-    """Let a dome of clay go round on a wheel.
+    """Turn a dome of clay on a wheel.
 
     Args:
-        rpm: Turns a minute; the clay starts with it.
-        particle_count: As many as the paper's wheel scene has, where not given.
-        wheel_radius: Of the wheel head [m].
+        rpm: Revolutions per minute, at which the clay starts too.
+        particle_count: Number of particles; by default that of the paper's wheel scene.
+        wheel_radius: Radius of the wheel head [m].
         step: Duration of a step [s].
-        turns: How far the wheel turns.
+        turns: Number of turns.
         spacing: Particle spacing [m].
     """
     rate = rpm * 2 * math.pi / 60
@@ -162,12 +162,12 @@ def turn_lump(
 
 
 def dome(count: int, spacing: float) -> np.ndarray:
-    """A half ball of exactly so many particles that lies on height 0 [m], shape [count, 3]."""
+    """A hemisphere of exactly ``count`` particles on the plane z = 0 [m], shape [count, 3]."""
     reach = math.ceil((3 * count / (2 * math.pi)) ** (1 / 3)) + 2
     axis = np.arange(-reach, reach) + 0.5
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     grid = grid[grid[:, 2] > 0]
-    # Of those equally far off, the order is that of the grid.
+    # Equally distant particles stay in the order of the grid.
     nearest = np.argsort((grid**2).sum(1), kind="stable")[:count]
     return grid[nearest] * spacing
 
@@ -176,12 +176,12 @@ def hang(adhesion: float, *, spacing: float = 0.005, layers: int = 4) -> float:
     """Turn a plate with a block of clay on it upside down, and wait half a second.
 
     Args:
-        adhesion: Of the plate [Pa].
+        adhesion: Adhesion of the plate [Pa].
         spacing: Particle spacing [m].
-        layers: Particles across the block's thickness.
+        layers: Number of particles across the block's thickness.
 
     Returns:
-        How far the block's middle is from where it hung [m].
+        Distance of the block's center from where it would hang [m].
     """
     scene = Scene(spacing)
     points = block((6, 6, layers), spacing)
@@ -213,8 +213,8 @@ class SpinningDisc:
     radius_ratio: float
     """Radius after over before."""
     limit_rpm: float
-    """Turns a minute at which it goes fully plastic: ρ ω² R² = 3 σ_Y, σ_Y = √3 τ_y (Timoshenko
-    and Goodier, *Theory of Elasticity*, and Tresca's or von Mises' yield in plane stress)."""
+    """Revolutions per minute at which it becomes fully plastic: ρ ω² R² = 3 σ_Y, σ_Y = √3 τ_y
+    (Timoshenko and Goodier, *Theory of Elasticity*; Tresca or von Mises yield in plane stress)."""
     spin_kept: float
     """Angular momentum after over before."""
 
@@ -230,17 +230,17 @@ def spin_disc(
     material: Material | None = None,
     settings: Settings | None = None,
 ) -> SpinningDisc:
-    """Spin a disc without gravity, its yield stress such that theory puts the limit at a rate.
+    """Spin a disc without gravity, with the yield stress for a given limit by theory.
 
     Args:
-        rpm: Turns a minute at the start.
-        limit_rpm: Where the limit shall lie.
-        radius: Of the disc [m].
-        layers: Particles across it.
-        duration: How long [s].
+        rpm: Initial revolutions per minute.
+        limit_rpm: Revolutions per minute at the plastic limit.
+        radius: Radius of the disc [m].
+        layers: Number of particles across its thickness.
+        duration: Duration [s].
         spacing: Particle spacing [m].
         material: The clay; its yield stress is not used.
-        settings: Of the solver.
+        settings: Solver settings.
     """
     material = material or Material(viscosity=20.0)
     limit = limit_rpm * 2 * math.pi / 60
@@ -272,14 +272,14 @@ def spin_disc(
 
 
 def turned(angle: float) -> np.ndarray:
-    """A pose turned about the vertical [rad]."""
+    """A pose rotated about the vertical by an angle [rad], shape [4, 4]."""
     pose = np.eye(4)
     pose[:2, :2] = (math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))
     return pose
 
 
 def _reach(points: np.ndarray) -> float:
-    """Farthest from the middle, across the axis [m]."""
+    """Largest horizontal distance from the center [m]."""
     return float(np.linalg.norm((points - points.mean(0))[:, :2], axis=1).max())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cases from the field are tried in the same fresh Blender as the add-on's own tests."""
+"""Cases from the field are tested in the same fresh Blender as the add-on."""
 
 from tactile_clay.tests.clay_addon.conftest import studio
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes as people's files have them become the clay that one sees, or say why not."""
+"""Meshes from users' files become the clay that one expects, or are refused with a reason."""
 
 import itertools
 import time
@@ -19,7 +19,7 @@ SPACING = 0.005
 
 
 def add_mesh(name: str, vertices: Any, faces: Any) -> bpy.types.Object:
-    """A mesh object from arrays, selected alone."""
+    """A mesh object from arrays."""
     data = bpy.data.meshes.new(name)
     data.from_pydata(
         [tuple(map(float, v)) for v in vertices], [], [tuple(map(int, f)) for f in faces]
@@ -43,7 +43,7 @@ def box(size: tuple[float, float, float], center: tuple[float, float, float] = (
 
 
 def joined(*parts: Any) -> Any:
-    """One mesh of several."""
+    """Several meshes joined into one."""
     vertices = np.concatenate([part[0] for part in parts])
     starts = np.cumsum([0, *(len(part[0]) for part in parts)])
     faces = [f + s for (_, part), s in zip(parts, starts, strict=False) for f in part]
@@ -51,7 +51,7 @@ def joined(*parts: Any) -> Any:
 
 
 def clay_of(*items: bpy.types.Object, **options: Any) -> tuple[NDArray[np.float64], list[str]]:
-    """World positions of the clay made of objects, and what was told on the way."""
+    """World positions of the clay made from objects, and the notes to the user."""
     notes: list[str] = []
     bpy.context.view_layer.update()
     clay = make_clay(bpy.context, items, SPACING, on_note=notes.append, **options)
@@ -61,8 +61,8 @@ def clay_of(*items: bpy.types.Object, **options: Any) -> tuple[NDArray[np.float6
 
 
 @pytest.mark.parametrize("inverted", [(), (0,), (1,), (0, 1), (2,), (0, 2)])
-def test_bodies_inside_out_are_all_there(studio: Any, inverted: tuple[int, ...]) -> None:
-    """Make clay of each body in a mesh whichever way its faces point, and say what was turned."""
+def test_bodies_inside_out_are_all_filled(studio: Any, inverted: tuple[int, ...]) -> None:
+    """Fill each body in a mesh whichever way its faces point, and report which were flipped."""
     parts = [box((0.06, 0.06, 0.06)), ball(0.03, (0.2, 0, 0)), box((0.03, 0.05, 0.04), (0, 0.2, 0))]
     for index in inverted:
         parts[index] = (parts[index][0], parts[index][1][:, ::-1])
@@ -75,16 +75,16 @@ def test_bodies_inside_out_are_all_there(studio: Any, inverted: tuple[int, ...])
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_the_same_body_twice_is_clay_once(studio: Any, inverted: bool) -> None:
-    """Neither double the clay's density nor empty it."""
+    """Neither double the clay's density nor cancel it."""
     vertices, faces = box((0.06, 0.06, 0.06))
     second = faces[:, ::-1] if inverted else faces
     points, notes = clay_of(add_mesh("twice", *joined((vertices, faces), (vertices, second))))
     assert len(points) == 12**3
-    assert any("doubled" in note or "inside out" in note for note in notes)
+    assert any("duplicate" in note or "inside out" in note for note in notes)
 
 
 def test_bodies_that_overlap_are_clay_once(studio: Any) -> None:
-    """Fill the union of balls in one mesh, evenly."""
+    """Fill the union of two balls in one mesh evenly."""
     points, _ = clay_of(add_mesh("two", *joined(ball(0.03), ball(0.03, (0.03, 0, 0)))))
     lens = np.pi / 12 * (4 * 0.03 + 0.03) * (2 * 0.03 - 0.03) ** 2
     assert len(points) * SPACING**3 == pytest.approx(8 / 3 * np.pi * 2.7e-5 - lens, rel=0.02)
@@ -94,7 +94,7 @@ def test_bodies_that_overlap_are_clay_once(studio: Any) -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])
 def test_sheet_thinner_than_the_spacing_is_refused_or_followed(studio: Any, angle: float) -> None:
-    """Name the thickness and a spacing that fills it; make one layer where that is asked for."""
+    """Report the thickness and a suitable spacing; make one layer on request."""
     sheet = add_mesh("sheet", *box((0.1, 0.1, 0.001)))
     sheet.rotation_euler = (angle, 0.3 * angle, 0)
     with pytest.raises(ClayError, match=r"'sheet' has walls about 1 mm.*at most (0.9\d?|1) mm"):
@@ -110,7 +110,7 @@ def test_sheet_thinner_than_the_spacing_is_refused_or_followed(studio: Any, angl
 
 @pytest.mark.parametrize("distance", [0.5, 2.0, 1e4])
 def test_loose_vertex_far_away_costs_nothing(studio: Any, distance: float) -> None:
-    """Make the same clay as without it, as fast, and say that it was left out."""
+    """Make the same clay as without it, and report that it was removed."""
     vertices, faces = box((0.06, 0.06, 0.06))
     item = add_mesh("loose", np.concatenate([vertices, [(distance, 0, 0)]]), faces)
     points, notes = clay_of(item)
@@ -120,7 +120,7 @@ def test_loose_vertex_far_away_costs_nothing(studio: Any, distance: float) -> No
 
 @pytest.mark.parametrize("noise", [1e-8, 1e-7, 1e-6])
 def test_nearly_welded_corners_are_no_holes(studio: Any, noise: float) -> None:
-    """Make clay of a mesh whose faces all have corners of their own that nearly meet."""
+    """Make clay of a mesh whose faces all have their own, nearly coincident corners."""
     vertices, faces = ball(0.03, detail=3)
     corners = vertices[faces].reshape(-1, 3)
     corners = corners + np.random.default_rng(0).uniform(-noise, noise, corners.shape)
@@ -147,7 +147,7 @@ def _instancing_nodes(collection_object: bpy.types.Object) -> bpy.types.NodeTree
 
 @pytest.mark.parametrize("scale", [1.0, -1.0, 0.5])
 def test_instances_of_geometry_nodes_are_clay(studio: Any, scale: float) -> None:
-    """Make clay of what nodes instance, where and as large as one sees it."""
+    """Make clay of instances, at their visible position and size."""
     pellet = add_mesh("pellet", *ball(0.02))
     item = add_mesh("points", [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [])
     item.modifiers.new("nodes", "NODES").node_group = _instancing_nodes(pellet)
@@ -160,8 +160,8 @@ def test_instances_of_geometry_nodes_are_clay(studio: Any, scale: float) -> None
     assert gap.max() < 0.021 * abs(scale) + 0.5 * SPACING
 
 
-def test_instanced_collection_is_refused_with_the_way_out(studio: Any) -> None:
-    """Name the operator that makes meshes of a collection's instances."""
+def test_instanced_collection_is_refused_with_advice(studio: Any) -> None:
+    """Name the operator that turns a collection's instances into meshes."""
     empty = bpy.data.objects.new("group", None)
     empty.instance_type = "COLLECTION"
     empty.instance_collection = bpy.data.collections.new("inner")
@@ -171,12 +171,12 @@ def test_instanced_collection_is_refused_with_the_way_out(studio: Any) -> None:
 
 
 def test_many_faces_are_quick(studio: Any, tmp_path: Path) -> None:
-    """Fill a ball of 82,000 faces in time that does not grow with faces times particles."""
+    """Fill a ball of 82,000 faces in time that does not grow as faces times particles."""
     times = []
     for detail in (5, 7):
         item = add_mesh("ball", *ball(0.05, detail=detail))
         began = time.process_time()
         clay_of(item)
         times.append(time.process_time() - began)
-    # Sixteen times the faces: filling by a query for each point took a hundred times as long.
+    # Sixteen times the faces: with a query for each point, filling took a hundred times as long.
     assert times[1] < 40 * times[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels compile for CUDA, so that a person with a graphics card is not the first to try."""
+"""Kernels compile for CUDA, checked without a GPU."""
 
 from importlib import import_module
 from pathlib import Path
@@ -27,7 +27,7 @@ def test_there_are_kernels():
 
 @pytest.mark.parametrize("name", WITH_KERNELS)
 def test_module_compiles_to_ptx(name: str, tmp_path: Path):
-    """Compile every kernel of a module to PTX without a graphics card."""
+    """Compile every kernel of a module to PTX without a GPU."""
     module = import_module(f"tactile_clay.solver.{name}")
     wp.compile_aot_module(module, arch=86, module_dir=tmp_path, use_ptx=True)
     compiled = list(tmp_path.glob("*.ptx"))

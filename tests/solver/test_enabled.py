@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mesh colliders that are lifted off the clay and set on it again."""
+"""Mesh colliders that are disabled and enabled again."""
 
 import numpy as np
 import pytest
@@ -25,8 +25,8 @@ def _block_with_ball(
 
 
 @pytest.mark.parametrize("model", ["plastic_bonds", "paper"])
-def test_lifted_tool_passes_through_clay_as_if_it_were_not_there(model: str):
-    """Give the same bits and costs as without the tool, and no force, depth or jump."""
+def test_disabled_tool_passes_through_clay_without_effect(model: str):
+    """Yield the same bits and substeps as without the tool, and no force, depth or jump."""
     alone, _ = _block_with_ball(model=model, ball_too=False)
     solver, tool = _block_with_ball(model=model)
     assert tool is not None
@@ -43,8 +43,8 @@ def test_lifted_tool_passes_through_clay_as_if_it_were_not_there(model: str):
     assert said.max_penetration == expected.max_penetration
 
 
-def test_tool_set_on_again_is_there_at_once_and_clay_moves_out_gently():
-    """Neither sweep from where it was lifted nor call that a jump."""
+def test_enabled_tool_appears_at_its_pose_and_clay_moves_out_gently():
+    """Neither sweep from where it was disabled nor count that as a jump."""
     solver, tool = _block_with_ball()
     assert tool is not None
     tool.set_enabled(False)
@@ -64,8 +64,8 @@ def test_tool_set_on_again_is_there_at_once_and_clay_moves_out_gently():
     assert fastest < 1.0
 
 
-def test_sleeping_clay_falls_when_what_holds_it_is_lifted():
-    """Wake clay that lies on a mesh, and let it fall on the floor below."""
+def test_sleeping_clay_falls_when_its_support_is_disabled():
+    """Wake clay that lies on a mesh, and let it fall to the floor below."""
     scene = Scene(SPACING)
     scene.add_clay(block(4, SPACING, (0, 0, 0.05)), Material())
     scene.add_plane()
@@ -84,16 +84,16 @@ def test_sleeping_clay_falls_when_what_holds_it_is_lifted():
     assert not solver.force_on(shelf).any()
 
 
-def test_lifted_tool_stays_away_from_clay_that_another_wakes():
-    """Meet no clay that wakes around a tool which was lifted while the clay slept."""
+def test_disabled_tool_ignores_clay_woken_by_another():
+    """Touch no clay that wakes around a tool disabled while the clay slept."""
     scene = Scene(SPACING)
     scene.add_clay(block(5, SPACING), Material())
     scene.add_plane()
     sphere = ball(0.006)
-    lifted, other = (scene.add_mesh(sphere.vertices, sphere.faces) for _ in range(2))
+    disabled, other = (scene.add_mesh(sphere.vertices, sphere.faces) for _ in range(2))
     other.set_pose(at(0, 0, 0.2))
-    lifted.set_enabled(False)
-    lifted.set_pose(at(0, 0, 0.012))
+    disabled.set_enabled(False)
+    disabled.set_pose(at(0, 0, 0.012))
     solver = Solver(scene)
     for _ in range(90):
         solver.step(1 / 60)
@@ -103,14 +103,14 @@ def test_lifted_tool_stays_away_from_clay_that_another_wakes():
     for step in range(8):
         other.set_pose(at(0.03 - 0.001 * step, 0, 0.012))
         solver.step(1 / 60)
-        assert not solver.force_on(lifted).any()
+        assert not solver.force_on(disabled).any()
     assert solver.diagnostics().awake == 125
     assert solver.diagnostics().max_penetration < 0.1 * SPACING
 
 
-@pytest.mark.parametrize("lifted", [True, False])
-def test_snapshot_keeps_whether_a_tool_is_lifted(lifted: bool):
-    """Go on with the same bits in a new solver, and across a change."""
+@pytest.mark.parametrize("disabled", [True, False])
+def test_snapshot_keeps_whether_a_tool_is_enabled(disabled: bool):
+    """Continue with the same bits in a new solver, also across a change."""
     states = []
     snapshot = None
     for fresh in (False, True):
@@ -119,17 +119,17 @@ def test_snapshot_keeps_whether_a_tool_is_lifted(lifted: bool):
         if not fresh:
             for step in range(6):
                 tool.set_pose(at(0.03 - 0.002 * step, 0, 0.012))
-                tool.set_enabled(step != 3 and not (step > 3 and lifted))
+                tool.set_enabled(step != 3 and not (step > 3 and disabled))
                 solver.step(1 / 60)
             snapshot = solver.snapshot()
         else:
             assert snapshot is not None
             tool.set_pose(at(0.02, 0, 0.012))
-            tool.set_enabled(not lifted)
+            tool.set_enabled(not disabled)
             solver.restore(snapshot)
         for step in range(6, 10):
             tool.set_pose(at(0.03 - 0.002 * step, 0, 0.012))
-            tool.set_enabled(step > 7 or not lifted)
+            tool.set_enabled(step > 7 or not disabled)
             solver.step(1 / 60)
         states.append(solver.positions())
     np.testing.assert_array_equal(states[0], states[1])

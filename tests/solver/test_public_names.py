@@ -11,7 +11,7 @@ from tactile_clay import solver
 
 @pytest.mark.parametrize("name", solver.__all__)
 def test_every_public_name_resolves(name: str) -> None:
-    """Give what the name says, from the module that defines it."""
+    """Resolve to an object of that name, defined in the solver."""
     value = getattr(solver, name)
     if callable(value):
         assert value.__name__ == name
@@ -19,7 +19,7 @@ def test_every_public_name_resolves(name: str) -> None:
 
 
 def test_names_loaded_on_use_are_public() -> None:
-    """List a name that is loaded on first use among the public ones, and no name twice."""
+    """List every name that is loaded on first use in ``__all__``, and no name twice."""
     assert set(solver._LOADED_ON_USE) <= set(solver.__all__)
     assert len(set(solver.__all__)) == len(solver.__all__)
 
@@ -36,6 +36,6 @@ def test_star_import_gives_all_names() -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    """Say that the module has no such name."""
+    """Raise an error that names the unknown attribute."""
     with pytest.raises(AttributeError, match="no_such_name"):
         solver.no_such_name  # noqa: B018

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The solver as a whole: exactness, what it builds, what it refuses."""
+"""The solver as a whole: reproducibility, what it builds and what it refuses."""
 
 import re
 from typing import Any
@@ -28,7 +28,7 @@ def pressed_scene() -> tuple[Scene, object]:
 
 
 def press_on(solver: Solver, tool, frames: range) -> None:
-    """Push the ball down, half a millimeter a frame."""
+    """Push the ball down by half a millimeter per frame."""
     for frame in frames:
         tool.set_pose(at(0.0002 * frame, 0, 0.037 - 0.0005 * frame))
         solver.step(1 / 60)
@@ -47,7 +47,7 @@ def test_same_steps_give_the_same_bits():
 
 
 def test_snapshot_restores_exactly_into_a_new_solver(tmp_path):
-    """Go on from a snapshot, saved and read, with the same bits as an unbroken run."""
+    """Continue from a saved and loaded snapshot with the same bits as an uninterrupted run."""
     scene, tool = pressed_scene()
     solver = Solver(scene)
     press_on(solver, tool, range(9))
@@ -86,7 +86,7 @@ def test_snapshot_of_another_scene_is_refused():
 
 
 def test_only_what_the_scene_holds_is_built():
-    """List contact only where there is something to touch, bonds only where they hold."""
+    """List contact only if there are colliders, and bonds only if they are in use."""
     scene = Scene(SPACING)
     scene.add_clay(block(3, SPACING), Material())
     text = Solver(scene).describe()
@@ -98,22 +98,22 @@ def test_only_what_the_scene_holds_is_built():
     assert "1 planes" in Solver(full).describe()
 
 
-def test_memory_that_is_told_is_what_arrays_hold():
-    """Count the arrays in structs too: rows of neighbors are most of what a scene holds."""
+def test_reported_memory_covers_all_arrays():
+    """Count arrays in structs too: rows of neighbors are most of a scene's memory."""
     scene = Scene(SPACING)
     scene.add_clay(block(8, SPACING), Material())
     solver = Solver(scene)
-    told = float(re.findall(r"([0-9.]+) MB", solver.describe())[0])
+    reported = float(re.findall(r"([0-9.]+) MB", solver.describe())[0])
     model = solver._model
     assert isinstance(model, PlasticBonds)
     rows = model.pairs.rows
     held = sum(value.capacity for value in vars(rows).values() if isinstance(value, wp.array))
     assert held > 0.5e6
-    assert told > held / 1e6
+    assert reported > held / 1e6
 
 
 def test_empty_scene_steps():
-    """Advance time where there is no clay."""
+    """Advance time without any clay."""
     solver = Solver(Scene())
     solver.step(0.5)
     assert solver.time == 0.5
@@ -123,7 +123,7 @@ def test_empty_scene_steps():
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_few_particles_fall_freely(count: int):
-    """Let one, two or three particles fall as they must."""
+    """Let one, two or three particles fall freely."""
     scene = Scene(SPACING)
     scene.add_clay(block(3, SPACING)[:count], Material())
     solver = Solver(scene)
@@ -135,13 +135,13 @@ def test_few_particles_fall_freely(count: int):
 
 @pytest.mark.parametrize("duration", [0.0, -1.0, float("nan"), float("inf")])
 def test_bad_duration_is_refused(duration: float):
-    """Refuse a step that is no length of time."""
+    """Refuse a step whose duration is not a positive number."""
     with pytest.raises(ValueError, match="above 0"):
         Solver(Scene()).step(duration)
 
 
 def test_unknown_device_and_model_are_refused():
-    """Name what there is."""
+    """List the available devices and models."""
     with pytest.raises(ValueError, match="cpu"):
         Solver(Scene(), device="abacus")
     with pytest.raises(ValueError, match="plastic_bonds"):
@@ -150,15 +150,15 @@ def test_unknown_device_and_model_are_refused():
         Settings(substeps=0)
 
 
-def test_force_on_a_stranger_is_refused():
+def test_force_on_an_unknown_collider_is_refused():
     """Refuse a collider of another scene."""
     scene, _ = pressed_scene()
     with pytest.raises(ValueError, match="not in the scene"):
         Solver(scene).force_on(Scene().add_plane())
 
 
-def test_a_particle_gone_wrong_is_held_and_counted():
-    """Hold a particle whose state turns non-finite; the rest goes on, finite."""
+def test_a_non_finite_particle_is_held_and_counted():
+    """Hold a particle whose state becomes non-finite; the rest continues and stays finite."""
     scene, _ = pressed_scene()
     solver = Solver(scene)
     solver.step(1 / 60)
@@ -173,7 +173,7 @@ def test_a_particle_gone_wrong_is_held_and_counted():
 
 
 def test_longer_steps_take_more_substeps():
-    """Keep the substep where the step is long, so that clay at rest stays."""
+    """Keep the length of substeps in long steps, so that clay at rest stays put."""
     scene = Scene(SPACING)
     scene.add_clay(block(5, SPACING), Material())
     scene.add_plane()
@@ -186,7 +186,7 @@ def test_longer_steps_take_more_substeps():
 
 
 def test_colors_come_back_in_order():
-    """Give colors in the order added."""
+    """Return colors in the order added."""
     box = trimesh.creation.box((0.02, 0.02, 0.02))
     scene = Scene(SPACING)
     scene.add_clay_mesh(box.vertices, box.faces, Material(), color=(1, 0, 0, 1))
@@ -202,7 +202,7 @@ def test_colors_come_back_in_order():
 @pytest.mark.parametrize("distance", [0.02, 0.1, 1.0])
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_pose_set_before_the_first_step_is_where_a_tool_begins(distance: float, turned: bool):
-    """Blast nothing that lies between the identity and where a tool is set; call it no jump."""
+    """Do not sweep a tool from the identity to its first pose, nor count that as a jump."""
     scene = Scene(0.005)
     scene.add_clay(block(6, 0.005), Material())
     scene.add_plane()
@@ -224,8 +224,8 @@ def test_a_pose_set_before_the_first_step_is_where_a_tool_begins(distance: float
     assert solver.diagnostics().teleported == 0
 
 
-def test_begin_makes_what_is_set_next_a_motion():
-    """Sweep from where a tool was when the solver was made, after `begin`."""
+def test_begin_makes_the_next_pose_a_motion():
+    """After `begin`, sweep from where a tool was when the solver was made."""
     forces = []
     for begins in (False, True):
         scene = Scene(0.005)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The forces of pairs with their tangent, and the flow of bonds at the end of a substep."""
+"""Forces of pairs with their tangent, and the flow of bonds at the end of a substep."""
 
 import warp as wp
 
@@ -30,7 +30,7 @@ def sum_forces(
     residual: wp.array[wp.vec3],
     diagonal: wp.array[wp.mat33],
 ) -> None:
-    """Impulse still missing at each particle [N s], and the tangent of the forces [kg]."""
+    """Find the residual impulse of each particle [N s], and the tangent of the forces [kg]."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -90,7 +90,7 @@ def flow_pairs(
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
 ) -> None:
-    """Keep what flowed: write the bonds' new rest lengths, and drop those that broke.
+    """Write the bonds' rest lengths after flow, and release those that broke.
 
     Lengths are those at the final velocities; volume and stress are those of the last
     linearization.
@@ -107,7 +107,7 @@ def flow_pairs(
             tension = law.tension_stretch
             pressed = mean[COMPRESSION] > 0.0
             closing = velocity[j] - velocity[i]
-            way = pair_direction(pairs, slot) * pairs.distance[slot] + closing * shared.time_step
-            apart = wp.length(way)
+            offset = pair_direction(pairs, slot) * pairs.distance[slot] + closing * shared.time_step
+            apart = wp.length(offset)
             bond = flow_bond(shared, tension, rest, apart, mean[DILATION], mean[SHARE], pressed)
             pairs.rest_length[slot] = wp.where(bond_breaks(shared, apart, bond[0]), 0.0, bond[0])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The passes of `forces` for the CPU's vector units: eight pairs of a row at a time.
 
-The kernels of `forces` with the same names are the same passes for reading and for graphics cards;
-tests hold the two to the same results. The formulas of both are those of `law`. Lanes behind the
-last pair of a row get no stiffness and no slope, so that they add nothing here or in a product.
+The kernels of the same names in `forces` are the same passes, for reading and for GPUs; tests hold
+the two to the same results. The formulas of both are those of `law`. Lanes beyond the last pair of
+a row get no stiffness and no slope, so that they add nothing here or in a product.
 """
 
 import warp as wp

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Laying the pairs that act, and measuring density, stress and strain rate over them."""
+"""Gathering the pairs that act, and measuring density, stress and strain rate over them."""
 
 import warp as wp
 
@@ -19,8 +19,8 @@ from .rows import PairRows, pair_direction, sort_row
 
 
 @wp.func
-def lay_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Find directions and distances of a particle's pairs."""
+def orient_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
+    """Find the directions and distances of a particle's pairs."""
     floor = coincident_distance(shared)
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
@@ -48,7 +48,7 @@ def measure_row(
     pairs: PairRows,
     i: int,
 ) -> None:
-    """Find the lengths of a particle's pairs at the end of the substep, its volume and stress."""
+    """Find the lengths of a particle's pairs at the end of the substep, and its condition."""
     v = velocity[i]
     neighbors = float(0.0)
     lopsided = wp.vec3()
@@ -85,7 +85,7 @@ def measure_row(
 
 
 @wp.kernel(enable_backward=False)
-def lay_pairs(
+def gather_pairs(
     awake: Awake,
     shared: SharedLaw,
     particle_laws: wp.array[ParticleLaw],
@@ -94,11 +94,11 @@ def lay_pairs(
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
 ) -> None:
-    """Find the pairs that act with their directions and distances, and measure over them."""
+    """Find the pairs that act with their directions and distances, and measure particles."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         sort_row(shared, position, pairs, i)
-        lay_row(shared, position, pairs, i)
+        orient_row(shared, position, pairs, i)
         measure_row(shared, particle_laws, material, velocity, pairs, i)
 
 
@@ -111,7 +111,7 @@ def measure_pairs(
     velocity: wp.array[wp.vec3],
     pairs: PairRows,
 ) -> None:
-    """Find each pair's length at the end of the substep, each particle's volume and stress."""
+    """Find each pair's length at the end of the substep, and each particle's condition."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         measure_row(shared, particle_laws, material, velocity, pairs, i)

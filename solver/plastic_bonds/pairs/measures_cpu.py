@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The passes of `measures` for the CPU's vector units: eight pairs of a row at a time.
 
-The kernels of `measures` with the same names are the same passes for reading and for graphics
-cards; tests hold the two to the same results. The formulas of both are those of `law`.
+The kernels of the same names in `measures` are the same passes, for reading and for GPUs; tests
+hold the two to the same results. The formulas of both are those of `law`.
 """
 
 import warp as wp
@@ -11,12 +11,12 @@ from ...core.awake import Awake
 from ...core.vector_units import BLOCK, OPTIONS, for_one, over_block
 from ..law import FORMULAS
 from ..law_data import ParticleLaw, SharedLaw
-from .measures import lay_row, measure_row
+from .measures import measure_row, orient_row
 from .rows import ROW, PairRows, sort_row
 
 wp.set_module_options(OPTIONS)
 
-# How a particle's volume, stress and strain rate are summed up while its pairs are measured.
+# Sums a particle's density, stress and strain rate while its pairs are measured.
 _MEASURE_SETUP = (
     FORMULAS
     + """
@@ -74,13 +74,13 @@ _MEASURE = """
     };
 """
 
-_LAY_SETUP = (
+_GATHER_SETUP = (
     _MEASURE_SETUP
     + """
     const float* __restrict__ x = (const float*)position.data;
 """
 )
-_LAY = (
+_GATHER = (
     ROW
     + _MEASURE
     + """
@@ -109,7 +109,7 @@ _LAY = (
         const i8 changes = (rest <= 0.f) & (leaves | forms_bond(apart));
         found |= live & changes;
         coincide |= live & (apart <= coincident);
-        const f8 inverse = live ? 1.f / most(apart, coincident) : zero;
+        const f8 inverse = live ? 1.f / maximum(apart, coincident) : zero;
         qx *= inverse;
         qy *= inverse;
         qz *= inverse;
@@ -126,8 +126,8 @@ _LAY = (
 
 @wp.func_native(
     over_block(
-        _LAY_SETUP + "int left_count = 0;",
-        _LAY
+        _GATHER_SETUP + "int left_count = 0;",
+        _GATHER
         + """
     const int leave = __builtin_reduce_or(found | coincide) != 0;
     left.data[i] = leave;
@@ -136,7 +136,7 @@ _LAY = (
         "return left_count;",
     )
 )
-def lay_block(  # type: ignore[empty-body]
+def gather_block(  # type: ignore[empty-body]
     block: int,
     awake: Awake,
     shared: SharedLaw,
@@ -150,9 +150,9 @@ def lay_block(  # type: ignore[empty-body]
 
 
 @wp.func_native(
-    for_one(_LAY_SETUP, _LAY, "return __builtin_reduce_or(coincide) != 0;"),
+    for_one(_GATHER_SETUP, _GATHER, "return __builtin_reduce_or(coincide) != 0;"),
 )
-def lay_one(  # type: ignore[empty-body]
+def gather_one(  # type: ignore[empty-body]
     i: int,
     shared: SharedLaw,
     particle_laws: wp.array[ParticleLaw],
@@ -164,7 +164,7 @@ def lay_one(  # type: ignore[empty-body]
 
 
 @wp.kernel(enable_backward=False)
-def lay_pairs(
+def gather_pairs(
     awake: Awake,
     shared: SharedLaw,
     particle_laws: wp.array[ParticleLaw],
@@ -174,9 +174,9 @@ def lay_pairs(
     pairs: PairRows,
     left: wp.array[int],
 ) -> None:
-    """`measures.lay_pairs`; rows that change and coincident particles are left to its functions."""
+    """`measures.gather_pairs`, whose functions handle changing rows and coincident particles."""
     block = wp.tid()
-    rows_left = lay_block(
+    rows_left = gather_block(
         block, awake, shared, particle_laws, material, position, velocity, pairs, left
     )
     if rows_left > 0:
@@ -184,9 +184,9 @@ def lay_pairs(
             i = awake.index[thread]
             if left[i] > 0:
                 sort_row(shared, position, pairs, i)
-                # Both ends of a pair must be laid by the same arithmetic, to the last bit.
-                if lay_one(i, shared, particle_laws, material, position, velocity, pairs):
-                    lay_row(shared, position, pairs, i)
+                # Both ends of a pair must be computed by the same arithmetic, to the last bit.
+                if gather_one(i, shared, particle_laws, material, position, velocity, pairs):
+                    orient_row(shared, position, pairs, i)
                     measure_row(shared, particle_laws, material, velocity, pairs, i)
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Neighbor search: refilling the `rows` when something has moved too far.
 
-Bonds stay in a row however long they are; the search only has to find which pairs may come close
-next. On the CPU, particles are sorted into cells (`neighbors_cpu`); on a graphics card, Warp's hash
-grid finds them.
+Bonds stay in a row at any length; the search only has to find pairs that may come close next. On
+the CPU, particles are sorted into cells (`neighbors_cpu`); on a GPU, Warp's hash grid finds them.
 """
 
 from typing import Any
@@ -18,8 +17,8 @@ from .pairs import Pairs
 from .rows import MAX_SLOTS, PairRows, keep_bonds, swap_slots
 
 _GRID_CELLS = 64
-MAX_FOLLOWED = 1000
-"""The motion of all clay as one is found from this many particles, at most about twice as many."""
+RIGID_SAMPLES = 1000
+"""The rigid motion of all clay is fitted to at least this many particles, if so many exist."""
 
 
 @wp.kernel(enable_backward=False)
@@ -31,7 +30,7 @@ def fill_rows(
     pairs: PairRows,
     needed: wp.array[int],
 ) -> None:
-    """List each particle's neighbors within reach, bonded ones first, as far as room allows."""
+    """List each particle's neighbors within reach, bonded ones first, as room permits."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -56,7 +55,7 @@ def fill_rows(
 
 @wp.kernel(enable_backward=False)
 def bond_close_pairs(position: wp.array[wp.vec3], bond_reach: float, pairs: PairRows) -> None:
-    """Bond every listed pair closer than the reach at its present length: no stress."""
+    """Bond every listed pair closer than the reach at its current length, without stress."""
     i = wp.tid()
     first = pairs.first[i]
     end = first
@@ -88,7 +87,7 @@ def measure_displacement(
 
 @wp.kernel(enable_backward=False)
 def match_rows(woken: wp.array[int], pairs: PairRows) -> None:
-    """Give particles that wake the present rest lengths of their bonds to awake particles."""
+    """Give waking particles the current rest lengths of their bonds to awake particles."""
     i = woken[wp.tid()]
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         j = pairs.other[slot]
@@ -102,7 +101,7 @@ def match_rows(woken: wp.array[int], pairs: PairRows) -> None:
 
 @wp.kernel(enable_backward=False)
 def mark_one_sided(awake: Awake, needed: wp.array[int], pairs: PairRows) -> None:
-    """Mark pairs that the other end had no room for, by the complement of its index."""
+    """Mark pairs for which the other end had no room, by the complement of its index."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -119,7 +118,7 @@ def mark_one_sided(awake: Awake, needed: wp.array[int], pairs: PairRows) -> None
 
 @wp.kernel(enable_backward=False)
 def drop_marked(awake: Awake, pairs: PairRows) -> None:
-    """Take marked pairs out of the rows: acting at one end only, they would make momentum."""
+    """Remove marked pairs: acting at one end only, they would create momentum."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -138,7 +137,7 @@ def drop_marked(awake: Awake, pairs: PairRows) -> None:
 
 
 class Neighbors:
-    """Fills the rows and knows when they must be refilled.
+    """Fills the rows, and refills them when particles have moved too far.
 
     Args:
         particles: The particles whose neighbors are listed.
@@ -155,13 +154,13 @@ class Neighbors:
         count, device = particles.count, particles.device
         self.listed_position = wp.zeros(count, dtype=wp.vec3, device=device)
         self.needed = wp.zeros(count, dtype=int, device=device)
-        """Slots that each row would fill if it had the room."""
+        """Number of slots that each row would fill given enough room."""
         self.largest = wp.zeros((particles.parts, 1), dtype=float, device=device)
         """Largest displacement since the rows were filled, squared, by part [m²]."""
         self.frame = wp.array(np.eye(4)[None], dtype=wp.mat44, device=device)
         """Rigid motion of all the clay since the rows were filled; it changes no distances."""
         self.overflow = 0
-        """Neighbors that found no free slot, since the beginning."""
+        """Number of neighbors dropped for lack of a free slot since the start."""
         self.rebuild_count = 0
         self._hash_grid: wp.HashGrid | None = None
         if device.is_cpu:
@@ -170,7 +169,7 @@ class Neighbors:
             self._hash_grid = wp.HashGrid(_GRID_CELLS, _GRID_CELLS, _GRID_CELLS, device=device)
 
     def rebuild(self) -> None:
-        """Refill the rows of all particles that are awake, keeping every bond."""
+        """Refill the rows of all awake particles, keeping every bond."""
         position = self.particles.position
         if self._hash_grid:
             self._hash_grid.build(position, self.reach)
@@ -204,16 +203,16 @@ class Neighbors:
         )
 
     def match(self, woken: wp.array) -> None:
-        """Bring the rows of particles that are about to wake up to date.
+        """Update the rows of particles that are about to wake.
 
         Args:
-            woken: Their indices; they still count as resting.
+            woken: Indices of the particles, which still count as resting.
         """
         inputs = [woken, self.pairs.rows]
         wp.launch(match_rows, dim=len(woken), inputs=inputs, device=self.particles.device)
 
     def bond_all(self, bond_reach: float) -> None:
-        """Bond all pairs closer than ``bond_reach`` [m] as they lie."""
+        """Bond all pairs closer than ``bond_reach`` [m] at their current length."""
         wp.launch(
             bond_close_pairs,
             dim=self.particles.count,
@@ -232,15 +231,15 @@ class Neighbors:
             ByPart.rows(self.largest),
         )
 
-    def _follow(self) -> bool:
-        """Move the frame of displacements with the clay; whether the rows are then still good.
+    def _follow_rigid_motion(self) -> bool:
+        """Move the frame of displacements with the clay; whether the rows are then still valid.
 
-        Clay that turns on a wheel moves far, yet none of its distances change.
+        Clay on a turning wheel moves far, but its distances do not change.
         """
         particles = self.particles
         if len(particles.awake_index()) < particles.count:
             return False
-        every = max(1, particles.count // MAX_FOLLOWED)
+        every = max(1, particles.count // RIGID_SAMPLES)
         before = self.listed_position.numpy()[::every].astype(np.float64)
         now = particles.position.numpy()[::every].astype(np.float64)
         self.frame.assign(rigid_motion(before, now).astype(np.float32)[None])
@@ -252,8 +251,8 @@ class Neighbors:
         return bool(self.largest.numpy().max() <= (0.5 * self.skin) ** 2)
 
     def rebuild_if_moved(self) -> None:
-        """Refill the rows if a particle has used up its half of the skin."""
-        if not (self._within_skin() or self._follow()):
+        """Refill the rows if a particle has moved half of the skin."""
+        if not (self._within_skin() or self._follow_rigid_motion()):
             self.rebuild()
 
     def snapshot(self) -> dict[str, np.ndarray]:
@@ -293,18 +292,18 @@ class Neighbors:
 
 
 def rigid_motion(before: np.ndarray, now: np.ndarray) -> np.ndarray:
-    """The rigid motion that brings points closest to others (Kabsch 1976), shape [4, 4].
+    """Rigid motion that best aligns points with others (Kabsch 1976), shape [4, 4].
 
     Args:
-        before: Where the points were [m], shape [N, 3].
-        now: Where they are [m], shape [N, 3].
+        before: Points before [m], shape [N, 3].
+        now: Points now [m], shape [N, 3].
     """
-    middle, there = before.mean(0), now.mean(0)
-    left, _, right = np.linalg.svd((before - middle).T @ (now - there))
+    center_before, center_now = before.mean(0), now.mean(0)
+    left, _, right = np.linalg.svd((before - center_before).T @ (now - center_now))
     flip = np.diag((1.0, 1.0, np.sign(np.linalg.det(left @ right))))
     motion = np.eye(4)
     motion[:3, :3] = (left @ flip @ right).T
-    motion[:3, 3] = there - motion[:3, :3] @ middle
+    motion[:3, 3] = center_now - motion[:3, :3] @ center_before
     return motion
 
 

@@ -28,11 +28,11 @@ class CellGrid:
     """Corner of the first cell [m]."""
     inverse_edge: wp.vec3
     counts: wp.vec3i
-    """Of cells along each axis."""
+    """Number of cells along each axis."""
     cell: wp.array[int]
-    """Of each particle."""
+    """Cell of each particle; -1 outside the box."""
     start: wp.array[int]
-    """Where each cell's particles begin in ``order``."""
+    """Start of each cell's particles in ``order``."""
     order: wp.array[int]
     """Particles, sorted by cell."""
     x: wp.array[float]
@@ -40,7 +40,7 @@ class CellGrid:
     z: wp.array[float]
     """Their positions in that order [m]."""
     mark: wp.array2d[int]
-    """Scratch for each part's thread, one for each particle."""
+    """Scratch marks of each particle, by part."""
     box_low: wp.vec3
     """Nothing outside this box is a neighbor of an awake particle [m]."""
     box_high: wp.vec3
@@ -48,7 +48,7 @@ class CellGrid:
 
 @wp.kernel(enable_backward=False)
 def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
-    """Count the particles in each cell; those outside the grid go to its outermost cells."""
+    """Count the particles in each cell; those outside the grid belong to its outermost cells."""
     i = wp.tid()
     below = wp.max(grid.box_low - position[i])
     above = wp.max(position[i] - grid.box_high)
@@ -63,7 +63,7 @@ def find_cells(position: wp.array[wp.vec3], grid: CellGrid) -> None:
 
 @wp.kernel(enable_backward=False)
 def sum_starts(cells: int, grid: CellGrid) -> None:
-    """Turn counts into starts."""
+    """Turn counts into the starts of cells."""
     total = int(0)
     for cell in range(cells):
         total += grid.start[cell]
@@ -72,7 +72,7 @@ def sum_starts(cells: int, grid: CellGrid) -> None:
 
 @wp.kernel(enable_backward=False)
 def sort_by_cell(position: wp.array[wp.vec3], grid: CellGrid) -> None:
-    """Sort the particles by cell; afterward each start has moved to its cell's end."""
+    """Sort the particles by cell; this moves each start to its cell's end."""
     i = wp.tid()
     if grid.cell[i] < 0:
         return
@@ -164,7 +164,7 @@ def fill_rows(
 
 @wp.func_native(
     over_block(
-        "float most_moved = 0.f; const float* m = (const float*)frame.data;",
+        "float max_square = 0.f; const float* m = (const float*)frame.data;",
         """
     const float* x = (const float*)position.data + 3 * (long long)i;
     const float* y = (const float*)listed_position.data + 3 * (long long)i;
@@ -172,9 +172,9 @@ def fill_rows(
     const float b = x[1] - (m[4] * y[0] + m[5] * y[1] + m[6] * y[2] + m[7]);
     const float c = x[2] - (m[8] * y[0] + m[9] * y[1] + m[10] * y[2] + m[11]);
     const float square = a * a + b * b + c * c;
-    most_moved = square > most_moved ? square : most_moved;
+    max_square = square > max_square ? square : max_square;
 """,
-        "if (most_moved > largest.data[0]) largest.data[0] = most_moved;",
+        "if (max_square > largest.data[0]) largest.data[0] = max_square;",
     )
 )
 def measure_block(
@@ -200,13 +200,13 @@ def measure_displacement(
 
 
 def make_cell_grid(particles: Particles, reach: float) -> CellGrid:
-    """Make room for all particles, in cells with edges of ``reach`` [m]."""
+    """Allocate a grid for all particles, with cells of edge ``reach`` [m]."""
     grid = CellGrid()
     particle_count, device = particles.count, particles.device
     for name in ("cell", "order"):
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=int, device=device))
     for name in ("x", "y", "z"):
-        # Vector units read up to seven numbers past the last.
+        # Vector units read up to seven numbers past the end.
         setattr(grid, name, wp.zeros(particle_count + 8, dtype=float, device=device))
     grid.mark = wp.zeros((particles.parts, particle_count + 8), dtype=int, device=device)
     grid.start = wp.zeros(1, dtype=int, device=device)
@@ -218,7 +218,7 @@ def sort_into_cells(grid: CellGrid, particles: Particles, reach: float) -> None:
     """Sort by cell the particles that may be neighbors of awake ones.
 
     Args:
-        grid: The grid that `make_cell_grid` returned.
+        grid: A grid returned by `make_cell_grid`.
         particles: The particles.
         reach: Edge of a cell, and the largest distance of neighbors [m].
     """

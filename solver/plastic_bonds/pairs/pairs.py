@@ -34,7 +34,7 @@ def copy_rows(before: PairRows, after: PairRows) -> None:
 def move_rows(
     index: wp.array[int], first: wp.array[int], room: wp.array[int], pairs: PairRows
 ) -> None:
-    """Move some rows to where there is more room."""
+    """Move some rows to slots with more room."""
     i = index[wp.tid()]
     start = first[wp.tid()]
     for e in range(pairs.listed[i]):
@@ -45,12 +45,12 @@ def move_rows(
 
 
 def _room_for(needed: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Slots to give to rows: a few more than needed, so that rows seldom move."""
+    """Number of slots to give to rows: a few more than needed, so that rows seldom move."""
     return (np.minimum(needed + 4, MAX_SLOTS) + 7) // 8 * 8
 
 
 class Pairs:
-    """The rows of neighbors and the passes over those that act.
+    """The rows of neighbors, and the passes over pairs that act.
 
     Args:
         particles: The particles that are paired.
@@ -76,7 +76,7 @@ class Pairs:
         self._launch = particles.launch_blocks if device.is_cpu else particles.launch
 
     def make_room(self, short: NDArray[np.int64], needed: NDArray[np.int32]) -> None:
-        """Give some rows the room they need, after all others while there is space.
+        """Give some rows the room they need, at the end of the arrays if there is space.
 
         Args:
             short: Indices of the rows that are too short, shape [S].
@@ -124,12 +124,12 @@ class Pairs:
         wp.launch(copy_rows, dim=self.particles.count, inputs=[before, rows], device=device)
 
     def gather(self, shared: SharedLaw, particle_laws: wp.array) -> None:
-        """Find the pairs that act at the present positions, and `measure` them."""
+        """Find the pairs that act at the current positions, and `measure` them."""
         particles = self.particles
-        # The CPU's pass notes the rows that it leaves to the plain functions.
+        # The CPU's pass records the rows that it leaves to the plain functions.
         left = [self._left] if particles.device.is_cpu else []
         self._launch(
-            self._measures.lay_pairs,
+            self._measures.gather_pairs,
             shared,
             particle_laws,
             particles.material,
@@ -140,7 +140,7 @@ class Pairs:
         )
 
     def measure(self, shared: SharedLaw, particle_laws: wp.array) -> None:
-        """Find lengths, volumes and stresses at the end of a substep with these velocities."""
+        """Find pair lengths and particles' conditions at the end of the substep."""
         particles = self.particles
         self._launch(
             self._measures.measure_pairs,
@@ -159,7 +159,7 @@ class Pairs:
         residual: wp.array,
         diagonal: wp.array,
     ) -> None:
-        """Find residual impulse and tangent at the present velocities. Call `measure` first."""
+        """Find residual impulse and tangent at the current velocities; call `measure` first."""
         particles = self.particles
         self._launch(
             self._forces.sum_forces,
@@ -184,16 +184,16 @@ class Pairs:
         curvature: wp.array,
         iteration: int,
     ) -> None:
-        """Multiply a direction [m/s] by the tangent. Call `sum_forces` first.
+        """Multiply a direction by the tangent; call `sum_forces` first.
 
         Args:
-            shared: What all pairs share.
-            particle_laws: The values of particles of each material.
-            own_block: Mass and contacts alone [kg].
-            direction: What to multiply [m/s]; the fourth number takes the change of pressure.
+            shared: Values that all pairs share.
+            particle_laws: Values of particles of each material.
+            own_block: Mass and contact stiffness alone [kg].
+            direction: Search direction [m/s]; the fourth component receives the pressure change.
             product: The product [N s].
-            curvature: Direction times product is added to it, by part and iteration [J].
-            iteration: The column of ``curvature``.
+            curvature: Direction times product, added to by part and iteration [J].
+            iteration: Column of ``curvature``.
         """
         particles = self.particles
         self._launch(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Multiplying a search direction by the tangent of all pairs, without ever forming a matrix.
+"""Multiplying a search direction by the tangent of all pairs, without forming a matrix.
 
 First each compressed particle finds how the motion changes its pressure, then each particle sums
 the responses of the bonds, dampers and pressures of its pairs.
@@ -15,7 +15,7 @@ from .rows import COMPRESSION, PairRows, pair_direction
 
 @wp.func
 def motion(direction: wp.vec4) -> wp.vec3:
-    """Motion of a particle in a search direction, without the change of its pressure."""
+    """Motion of a particle in a search direction, without its pressure change."""
     return wp.vec3(direction[0], direction[1], direction[2])
 
 
@@ -28,7 +28,7 @@ def press_pairs(
     pairs: PairRows,
     direction: wp.array[wp.vec4],
 ) -> None:
-    """Find how a motion changes the pressure of compressed particles; keep it with the motion."""
+    """Find how a motion changes the pressure of compressed particles, and store it with it."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -36,8 +36,8 @@ def press_pairs(
     p = direction[i]
     if pairs.condition[i][COMPRESSION] > 0.0:
         for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
-            way = motion(p) - motion(direction[pairs.other[slot]])
-            total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), way)
+            relative = motion(p) - motion(direction[pairs.other[slot]])
+            total += pairs.slope[slot] * wp.dot(pair_direction(pairs, slot), relative)
     p[3] = total * pressure_tangent(shared, particle_laws[material[i]].pressure_stiffness)
     direction[i] = p
 

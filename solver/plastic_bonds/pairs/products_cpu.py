@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The passes of `products` for the CPU's vector units: eight pairs of a row at a time.
 
-Most of a frame is spent in them. A test holds the two to the same results.
+Most of a frame's time is spent in them. A test holds the two to the same results.
 """
 
 import warp as wp
@@ -26,7 +26,7 @@ _DIRECTION = """
     float* p = (float*)direction.data;
 """,
         """
-    // The change is zero already where nothing is compressed.
+    // Where nothing is compressed, the change is already zero.
     if (pairs.condition.data[i][0] <= 0.f) continue;
 """
         + ROW

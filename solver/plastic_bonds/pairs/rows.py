@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rows of neighbors: where the pairs that act in a substep are kept.
+"""Rows of neighbors, which hold the pairs that act in a substep.
 
 Each particle keeps a row of neighbors; the rows lie end to end in arrays as long as needed. The
 first slots of a row act: bonds, and free pairs close enough to press. A slot holds the neighbor's
-index and the pair's rest length: 0 for a free pair, negative while a new bond is being counted in,
-positive for a bond. Every pair is kept at both ends, so that each particle gathers its own sum: no
-pass needs atomics. Both ends compute the same numbers from the same values, so forces are equal and
-opposite and rest lengths stay equal, up to rounding. A pair's direction is taken at the start
-of the substep and its length at the end, so pair forces conserve angular momentum exactly.
+index and the pair's rest length: positive for a bond, 0 for a free pair, negative for one that
+presses, where it counts the substeps until it bonds. Every pair is kept at both ends, so that each
+particle gathers its own sum and no pass needs atomics. Both ends compute the same numbers from the
+same values, so forces are equal and opposite and rest lengths stay equal, up to rounding. A pair's
+direction is taken at the start of the substep and its length at the end, so pair forces conserve
+angular momentum exactly.
 """
 
 import warp as wp
@@ -20,7 +21,7 @@ DILATION = wp.constant(1)
 SHARE = wp.constant(2)
 DAMPING = wp.constant(3)
 MAX_SLOTS = 96
-"""Neighbors a particle can list: enough for clay at three times its density within two spacings."""
+"""Largest number of neighbors of a particle: clay at three times its density, in two spacings."""
 
 ROW = """
     const int acting = pairs.acting.data[i];
@@ -36,7 +37,7 @@ ROW = """
     float* __restrict__ stiffness = pairs.stiffness.data + row;
     float* __restrict__ slope = pairs.slope.data + row;
 """
-"""Text that finds the row of the particle ``i``, for vector units."""
+"""Native code that finds the row of particle ``i``, for vector units."""
 
 
 @wp.struct
@@ -44,36 +45,36 @@ class PairRows:
     """The rows of all particles."""
 
     first: wp.array[int]
-    """Where a particle's row begins: a multiple of eight."""
+    """First slot of a particle's row: a multiple of eight."""
     room: wp.array[int]
-    """Slots that belong to a row: a multiple of eight."""
+    """Number of slots of a row: a multiple of eight."""
     listed: wp.array[int]
-    """Slots in use."""
+    """Number of slots in use."""
     acting: wp.array[int]
-    """Slots that act, from the first."""
+    """Number of slots that act, from the first."""
     resting: wp.array[int]
-    """1 for a particle that sleeps; it forms no bonds."""
+    """1 for a sleeping particle, which forms no bonds."""
     other: wp.array[int]
     """Index of the neighbor."""
     rest_length: wp.array[float]
-    """[m]; 0 for a free pair, negative while a bond is counted in."""
+    """Rest length of a bond [m]; 0 or negative for a free pair."""
     direction_x: wp.array[float]
     direction_y: wp.array[float]
     direction_z: wp.array[float]
     """Unit vector toward the neighbor at the start of the substep; by axis for vector units."""
     distance: wp.array[float]
-    """At the start of the substep [m]."""
+    """Length at the start of the substep [m]."""
     distance_next: wp.array[float]
-    """At its end [m]."""
+    """Length at the end of the substep [m]."""
     stiffness: wp.array[float]
     """Tangent of bond and damping [kg]: force derivative times Δt²."""
     slope: wp.array[float]
-    """How fast the pair's share of the density falls with distance [1/m]."""
+    """How fast the pair's contribution to the density falls with distance [1/m]."""
     condition: wp.array[wp.vec4]
     """What neighbors need to know of a particle, packed for vector units: at `COMPRESSION` its
-    density over that at rest, less one, where positive; at `DILATION` the mean linear strain of its
+    relative excess over the rest density, at least 0; at `DILATION` the mean linear strain of its
     bonds; at `SHARE` the fraction of their stretch that its bonds lose by flow in the substep; at
-    `DAMPING` how it damps the parting of pairs [N s/m]."""
+    `DAMPING` its damping of pairs [N s/m]."""
 
 
 @wp.func
@@ -110,7 +111,7 @@ def keep_bonds(pairs: PairRows, i: int) -> int:
 
 @wp.func
 def sort_row(shared: SharedLaw, position: wp.array[wp.vec3], pairs: PairRows, i: int) -> None:
-    """Drop pairs that no longer act, add those that come close, count new bonds in."""
+    """Drop pairs that no longer act, add those that come close, and form new bonds."""
     x = position[i]
     first = pairs.first[i]
     end = first + pairs.acting[i]

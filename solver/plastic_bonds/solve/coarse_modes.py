@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rigid modes of coarse cells, and how the coarse matrix is summed.
+"""Rigid modes of coarse cells, and the sums that make up the coarse matrix.
 
 A bond between cells a and b pulls along its direction n with a stiffness k. Its row of modes in a
 cell is r = (n, (x - c) × n), and since the line along n goes through both ends, r_b follows from
@@ -61,7 +61,7 @@ def assemble(
     pairs: PairRows,
     matrix: wp.array2d[float],
 ) -> None:
-    """Sum mass and contacts of each particle, and the bonds that join two cells."""
+    """Sum the mass and contacts of each particle, and the bonds that join two cells."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -71,7 +71,7 @@ def assemble(
     for slot in range(pairs.first[i], pairs.first[i] + pairs.acting[i]):
         theirs = cell[pairs.other[slot]]
         if theirs != own:
-            # A neighbor that is asleep holds like a wall.
+            # A sleeping neighbor acts as a wall.
             column = wp.where(theirs < 0, own, theirs)
             row = rigid_row(arm, pair_direction(pairs, slot))
             add_block(matrix, own, column, row, row, pairs.stiffness[slot])

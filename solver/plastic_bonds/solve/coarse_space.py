@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A coarse space of rigid motions: what makes few iterations enough.
+"""A coarse space of rigid motions, with which few iterations suffice.
 
 Particles are grouped in box cells; each cell has six rigid modes. Solving the system restricted to
-these modes (Galerkin, P^T A P) transmits at once what neighbors would pass on over many iterations:
+these modes (Galerkin, P^T A P) transmits at once what would take many iterations by neighbors:
 weight, support, whole-body motion. It is used with a block-Jacobi preconditioner (additive Schwarz
 with a coarse space; Toselli and Widlund, *Domain Decomposition Methods*, 2005, chapter 3), and once
 more at the end of each solve: then no net impulse is left in any cell, so momentum is conserved and
@@ -26,7 +26,7 @@ MAX_CELLS = 64
 """Cells are enlarged until at most this many are occupied."""
 _GRID_LIMIT = 1 << 18
 _REBUILDS = 4
-"""Cells are laid again after this many rebuilds of the neighbor lists."""
+"""Cells are laid out again after this many rebuilds of the neighbor lists."""
 
 
 @wp.func
@@ -59,7 +59,7 @@ def find_boxes(
     occupants: wp.array[int],
     sums: wp.array[wp.vec3],
 ) -> None:
-    """Find the box that each particle lies in, and sum the boxes' occupants."""
+    """Find the box in which each particle lies, and sum the boxes' occupants."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -72,7 +72,7 @@ def find_boxes(
 
 @wp.kernel(enable_backward=False)
 def number_cells(awake: Awake, number: wp.array[int], cell: wp.array[int]) -> None:
-    """Replace each particle's box by its number among the occupied boxes."""
+    """Replace each particle's box by its index among the occupied boxes."""
     i = awake_particle(awake, wp.tid())
     if i >= 0:
         cell[i] = number[cell[i]]
@@ -112,10 +112,10 @@ class CoarseSpace:
         self.generation = 0
         self.placed_at = -_REBUILDS
         self.size = wp.zeros(1, dtype=int, device=self.device)
-        """Rows of the matrix in use."""
-        # Cells of one or two particles have no definite turn; a little inertia keeps it small.
+        """Number of rows of the matrix in use."""
+        # Cells of one or two particles have no definite rotation; a little inertia keeps it small.
         ridge = [1e-6] * 3 + [0.1 * particles.spacing**2] * 3
-        self.ridge = np.array(ridge) * particles.least_mass
+        self.ridge = np.array(ridge) * particles.min_mass
         self._resize(1)
 
     def _resize(self, cells: int) -> None:
@@ -130,11 +130,11 @@ class CoarseSpace:
         else:
             self.inverse = wp.zeros((size, size), dtype=float, device=self.device)
         self.sums = wp.zeros((parts, size), dtype=wp.float64, device=self.device)
-        # Here too.
+        # Vector units read eight numbers here too.
         self.modes = wp.zeros((parts, size + 2), dtype=float, device=self.device)
 
     def place_cells(self, rebuild_count: int) -> None:
-        """Lay cells over the particles, unless they still lie well.
+        """Lay out cells over the particles, unless the last layout is still good.
 
         Args:
             rebuild_count: How often the neighbor lists were filled, a measure of motion.
@@ -171,7 +171,7 @@ class CoarseSpace:
         self.size.fill_(MODES * len(occupied))
 
     def release(self, resting: NDArray[np.int64]) -> None:
-        """Drop particles that fell asleep, and lay new cells before the next solve."""
+        """Drop particles that fell asleep, and have new cells laid out before the next solve."""
         cell = self.cell.numpy().copy()
         cell[resting] = -1
         self.cell.assign(cell)
@@ -234,10 +234,10 @@ class CoarseSpace:
             matrix,
         )
         if self.device.is_cpu:
-            self.factor.take(self.size, self.center, self.ridge, self.matrix)
+            self.factor.factorize(self.size, self.center, self.ridge, self.matrix)
 
     def invert(self) -> None:
-        """Invert the coarse matrix on the host, for a graphics card; the CPU has its factor."""
+        """Invert the coarse matrix on the host, for a GPU; the CPU uses a factorization."""
         if self.device.is_cpu:
             return
         cells = int(self.size.numpy()[0]) // MODES
@@ -248,10 +248,10 @@ class CoarseSpace:
         self.inverse.assign(inverse)
 
     def solve(self, energy: wp.array, place: int) -> None:
-        """Find the cells' motions for the summed residual; `prolong` maps them to particles.
+        """Find the cells' motions from the summed residual; `prolong` maps them to particles.
 
         Args:
-            energy: Residual times motion is added to it at ``place`` [J].
+            energy: Residual times motion, added to at ``place`` [J].
             place: Column of ``energy``.
         """
         if self.device.is_cpu:
@@ -266,10 +266,10 @@ class CoarseSpace:
 
 
 def join_blocks(matrix: NDArray[np.float32], center: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The coarse matrix from the sums of `assemble`.
+    """Build the coarse matrix from the sums of `assemble`.
 
     Args:
-        matrix: The blocks that `assemble` summed.
+        matrix: The blocks summed by `assemble`.
         center: Centers of the cells [m], shape [C, 3].
 
     Returns:
@@ -292,7 +292,7 @@ def join_blocks(matrix: NDArray[np.float32], center: NDArray[np.float32]) -> NDA
 
 
 def connected_groups(joined: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The group number of each cell; cells joined directly or through others share one.
+    """Label of each cell's connected group, shape [C].
 
     Args:
         joined: Whether two cells are joined, true on the diagonal, shape [C, C].

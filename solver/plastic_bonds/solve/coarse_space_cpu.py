@@ -20,7 +20,7 @@ wp.set_module_options(OPTIONS)
     over_block(
         """
     const long long stride = matrix.strides[0] / sizeof(float);
-    // A mode has six numbers; what is added to the next two is zero.
+    // A mode has six numbers; zero is added to the next two.
     auto add = [&](int own, int theirs, f8 r, f8 s) __attribute__((always_inline)) {
         float* entries = matrix.data + 6 * own * stride + 6 * theirs;
         for (int p = 0; p < 6; p++, entries += stride) store(entries, load(entries) + s[p] * r);
@@ -80,7 +80,7 @@ def assemble(
 
 
 # Cholesky factorization. Cells are ordered by connected group, so a row begins no earlier than the
-# first cell of its group; the entries before it are zero and are skipped.
+# first cell of its group; the entries before that are zero and skipped.
 @wp.func_native("""{
     #pragma clang fp reassociate(on) contract(fast)
     const int n = size.data[0], cells = n / 6;
@@ -139,7 +139,7 @@ def assemble(
                 for (; k < j; k++) total -= row[k] * pivot[k];
                 if (j < i) row[j] = total * inverses.data[j];
                 else {
-                    // A mode that nothing resists does not move.
+                    // A mode without any resistance does not move.
                     row[i] = total;
                     inverses.data[i] = total > 1e-30 ? 1.0 / __builtin_sqrt(total) : 0.0;
                 }
@@ -171,7 +171,7 @@ def factor(
     inverses: wp.array[wp.float64],
     starts: wp.array[int],
 ) -> None:
-    """Factor the coarse matrix: a lower triangle, and the inverses of its diagonal."""
+    """Factor the coarse matrix into a lower triangle and the inverses of its diagonal."""
     factor_matrix(size, center, shift_ridge, turn_ridge, matrix, lower, inverses, starts)
 
 
@@ -247,7 +247,7 @@ class Factor:
         self.starts = wp.zeros((parts, size), dtype=int, device=device)
         self.work = wp.zeros((parts, size), dtype=wp.float64, device=device)
 
-    def take(
+    def factorize(
         self, size: wp.array, center: wp.array, ridge: NDArray[np.float64], matrix: wp.array
     ) -> None:
         """Factor the sums of `assemble`; ``ridge`` is added to each cell's diagonal [kg, kg m²]."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Preconditioned conjugate gradients for a Newton step of the pair forces and contacts.
 
-Sums over all particles are gathered by the passes that compute their terms, one place for each
+Sums over all particles are gathered by the passes that compute their terms, in one entry per
 iteration, so that an iteration takes four passes: two for the product, `advance` and `turn`.
 """
 
@@ -45,7 +45,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
-    # Scaled to order one: the determinant of a small particle's block would underflow.
+    # Scaled to order one, because the determinant of a small particle's block would underflow.
     scale = 1.0 / wp.trace(diagonal[i])
     solve.inverse[i] = wp.inverse(diagonal[i] * scale) * scale
     solve.change[i] = wp.vec3()
@@ -54,7 +54,7 @@ def start(awake: Awake, diagonal: wp.array[wp.mat33], solve: Solve) -> None:
 
 @wp.kernel(enable_backward=False)
 def turn(awake: Awake, iteration: int, solve: Solve) -> None:
-    """Make the next search direction, conjugate to the last."""
+    """Compute the next search direction, conjugate to the last."""
     i = awake_particle(awake, wp.tid())
     if i < 0:
         return
@@ -128,12 +128,12 @@ class ConjugateGradients:
 
     @property
     def residual(self) -> wp.array:
-        """Impulse still missing at each particle [N s]. Fill it before `solve`."""
+        """Residual impulse of each particle [N s]; to be filled before `solve`."""
         return self.data.residual
 
     @property
     def change(self) -> wp.array:
-        """How the last solve changed the velocities [m/s]."""
+        """Velocity changes of the last solve [m/s]."""
         return self.data.change
 
     def solve(
@@ -150,11 +150,11 @@ class ConjugateGradients:
 
         Args:
             iterations: Number of iterations.
-            shared: What all pairs share.
-            particle_laws: The values of particles of each material.
+            shared: Values that all pairs share.
+            particle_laws: Values of particles of each material.
             pairs: The acting pairs with their tangent.
-            diagonal: Each particle's block of the tangent [kg], contacts included.
-            own_block: Mass and contacts alone [kg].
+            diagonal: Diagonal block of the tangent for each particle [kg], contacts included.
+            own_block: Mass and contact stiffness alone [kg].
             coarse: The coarse space, factored.
         """
         data = self.data

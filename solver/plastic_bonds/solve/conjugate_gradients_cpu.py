@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The passes of conjugate gradients for the CPU, a block of particles at a time.
+"""Passes of conjugate gradients for the CPU, a block of particles at a time.
 
-The kernels of `conjugate_gradients` with the same names are the same passes for reading and for
-graphics cards; a test holds the two to the same results.
+The kernels of the same names in `conjugate_gradients` are the same passes, for reading and for
+GPUs; a test holds the two to the same results.
 """
 
 import warp as wp
@@ -42,14 +42,14 @@ _CELLS = """
     };
 """
 
-# Neighbors mostly share a cell: its sums are kept in registers until another cell comes, in single
-# precision over the few particles of a block.
+# Successive particles mostly share a cell, so its sums stay in registers until the cell changes, in
+# single precision over the few particles of a block.
 _PRECONDITION = """
     f4 sizes = (f4)(0.f), shift = (f4)(0.f), turn = (f4)(0.f);
-    int at_hand = -1;
-    auto put_down = [&]() __attribute__((always_inline)) {
-        if (at_hand < 0) return;
-        double* own = cell_sums + 6 * at_hand;
+    int current = -1;
+    auto flush = [&]() __attribute__((always_inline)) {
+        if (current < 0) return;
+        double* own = cell_sums + 6 * current;
         for (int p = 0; p < 3; p++) {
             own[p] += shift[p];
             own[p + 3] += turn[p];
@@ -62,9 +62,9 @@ _PRECONDITION = """
         store3(preconditioned + 3 * (long long)i, z);
         sizes += z * r;
         const int own = solve.cell.data[i];
-        if (own != at_hand) {
-            put_down();
-            at_hand = own;
+        if (own != current) {
+            flush();
+            current = own;
         }
         shift += r;
         turn += cross(arm(i, own), r);
@@ -100,7 +100,7 @@ _PRECONDITION = """
     precondition(i, load3(residuals + 3 * (long long)i));
 """,
         """
-    put_down();
+    flush();
     solve.size.data[part * pitch] += size_sum();
 """,
     )
@@ -161,7 +161,7 @@ def turn(awake: Awake, iteration: int, solve: Solve) -> None:
     precondition(i, r);
 """,
         """
-    put_down();
+    flush();
     solve.size.data[part * pitch + iteration + 1] += size_sum();
 """,
     )

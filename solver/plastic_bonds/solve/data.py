@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The work arrays that the passes of conjugate gradients share."""
+"""Work arrays shared by the passes of conjugate gradients."""
 
 import warp as wp
 
@@ -9,18 +9,17 @@ class Solve:
     """Work arrays of a solve."""
 
     residual: wp.array[wp.vec3]
-    """Impulse still missing [N s]."""
+    """Residual impulse [N s]."""
     inverse: wp.array[wp.mat33]
-    """Of each particle's own block [1/kg]."""
+    """Inverse of each particle's diagonal block [1/kg]."""
     z: wp.array[wp.vec3]
     """The residual preconditioned by blocks [m/s]."""
     direction: wp.array[wp.vec4]
-    """Search direction [m/s], and by how much it changes a compressed particle's pressure
-    [kg m²/s]."""
+    """Search direction [m/s], and its change of a compressed particle's pressure [kg m²/s]."""
     product: wp.array[wp.vec3]
     """Search direction times tangent [N s]."""
     change: wp.array[wp.vec3]
-    """How the solve changes the velocities [m/s]."""
+    """Velocity changes of the solve [m/s]."""
     size: wp.array2d[wp.float64]
     """Preconditioned square of the residual by part and iteration [J], without its coarse part."""
     curvature: wp.array2d[wp.float64]
@@ -29,7 +28,7 @@ class Solve:
     cell: wp.array[int]
     """Coarse cell of each particle."""
     center: wp.array[wp.vec3]
-    """Of each coarse cell [m]."""
+    """Center of each coarse cell [m]."""
     sums: wp.array2d[wp.float64]
     """The residual restricted to the coarse modes, by part."""
     modes: wp.array2d[float]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The spin of coarse cells: a substep's initial guess of the velocities turns with it.
+"""Spin of coarse cells, with which a substep's initial guess of the velocities turns.
 
-In a turning body every velocity changes its direction in a substep. A guess that does not turn
+In a rotating body, every velocity changes direction in a substep. A guess that does not turn
 stretches all bonds by half the square of the angle: at 0.13 rad (300 rpm) by nearly a hundredth,
 enough to make soft clay flow. So velocities are turned with their cell before anything yields.
 This affects only the guess; the solution is the same.
@@ -76,7 +76,7 @@ def turn_velocities_of_block(
 
 
 class Spin:
-    """How coarse cells turn.
+    """The spin of coarse cells.
 
     Args:
         particles: The particles in the cells.
@@ -92,7 +92,7 @@ class Spin:
         self._time_step = 0.0
 
     def measure(self) -> None:
-        """Find how fast the cells turn now."""
+        """Find the cells' current spin."""
         particles, coarse = self.particles, self.coarse
         cells = len(coarse.center)
         sums = wp.zeros((cells, _SUMS), dtype=float, device=particles.device)
@@ -105,7 +105,7 @@ class Spin:
             self._turn = wp.zeros(cells, dtype=wp.quat, device=particles.device)
 
     def prepare(self, time_step: float) -> bool:
-        """Prepare a substep of ``time_step`` [s]; whether anything turns in it."""
+        """Prepare a substep of ``time_step`` [s], and tell whether anything turns in it."""
         angle = np.linalg.norm(self.rate, axis=1) * time_step
         if not (angle > MIN_ANGLE).any():
             return False
@@ -118,7 +118,7 @@ class Spin:
         return True
 
     def turn(self) -> None:
-        """Turn the velocities. Call `prepare` first."""
+        """Turn the velocities; call `prepare` first."""
         self.particles.run(
             turn_velocities,
             turn_velocities_of_block,
@@ -129,7 +129,7 @@ class Spin:
 
 
 def spin_rates(sums: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
-    """Rates at which cells turn [rad/s], shape [C, 3].
+    """Angular velocities of the cells [rad/s], shape [C, 3].
 
     Args:
         sums: The sums of `sum_motion`, shape [C, 16].
@@ -145,6 +145,6 @@ def spin_rates(sums: NDArray[np.float64], spacing: float) -> NDArray[np.float64]
         second[:, axis, other] = second[:, other, axis] = sums[:, 12 + axis]
     second -= arm[:, :, None] * arm[:, None] / count[:, None]
     trace = np.trace(second, axis1=1, axis2=2)[:, None, None]
-    # The spin of a single particle or a straight row is undetermined; this makes it zero.
+    # The spin of a single particle or a straight row is undetermined; the last term makes it zero.
     inertia = trace * np.eye(3) - second + (0.1 * spacing**2) * np.eye(3)
     return np.linalg.solve(inertia, moment[:, :, None])[:, :, 0]

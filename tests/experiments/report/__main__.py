@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Runs the experiments and writes what they measured beside what theory says, and what it cost.
+"""Runs the experiments, and writes their measurements, the theoretical values and the cost.
 
-Leaves report.md with its pictures, and report.json, in build/report.
+Writes report.md with its pictures, and report.json, to build/report.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from .sweep import choose_qualities, combine, quick_points, swept_points
 
 
 def machine() -> dict[str, str | int]:
-    """What it runs on."""
+    """Processor, cores and versions."""
     return {
         "processor": platform.machine(),
         "cores": os.cpu_count() or 1,
@@ -46,23 +46,23 @@ def machine() -> dict[str, str | int]:
     }
 
 
-def say(text: str) -> None:
-    """Tell how far it is."""
+def print_progress(text: str) -> None:
+    """Print a progress message."""
     print(text, flush=True)
 
 
 def measure_costs(report: Report, points: list[Point]) -> None:
-    """Run what is timed, alone."""
+    """Run the timed experiments one at a time."""
     warm_up()
     begin = time.perf_counter()
     for done, outcome in enumerate(run_points(points), 1):
         report.swept.append(outcome)
         if done % 20 == 0 or done == len(points):
-            say(f"  {done} of {len(points)} runs, {time.perf_counter() - begin:.0f} s")
+            print_progress(f"  {done} of {len(points)} runs, {time.perf_counter() - begin:.0f} s")
 
 
 def measure_rest(report: Report, pool: ProcessPoolExecutor, *, quick: bool) -> None:
-    """Run what is not timed, two at once: stability, hard cases and unswept experiments."""
+    """Run two at a time what is not timed: stability, hard cases and unswept experiments."""
     swept = {o.point for o in report.swept}
     live = [Point(e.name, Settings(), e.spacings[0]) for e in EXPERIMENTS if not quick or e.quick]
     experiments: list[Future[Outcome]] = [
@@ -80,22 +80,22 @@ def measure_rest(report: Report, pool: ProcessPoolExecutor, *, quick: bool) -> N
     report.live = [found[point] for point in live]
     report.hard_cases = [job.result() for job in cases]
     report.cells = [job.result() for job in cells]
-    report.room = margin(report.cells, Settings(), Material().shear_modulus)
+    report.margin = margin(report.cells, Settings(), Material().shear_modulus)
 
 
 def draw(report: Report, folder: Path) -> None:
-    """Make the pictures."""
+    """Draw the pictures."""
     if report.combined:
         plots.plot_combined(report.combined, report.qualities, folder / "front.png")
     if report.swept:
         plots.plot_experiments(report.swept, folder / "experiments.png")
     plots.plot_scoreboard(report.live, folder / "live.png")
-    if report.room:
+    if report.margin:
         plots.plot_stability(
             report.cells,
             Settings(),
             Material().shear_modulus,
-            report.room,
+            report.margin,
             folder / "stability.png",
         )
 
@@ -104,7 +104,7 @@ def main() -> None:
     """Run everything and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("build/report"))
-    parser.add_argument("--quick", action="store_true", help="a small part, in about a minute")
+    parser.add_argument("--quick", action="store_true", help="only a small part, in about a minute")
     options = parser.parse_args()
     wp.config.quiet = True
     options.output.mkdir(parents=True, exist_ok=True)
@@ -114,29 +114,29 @@ def main() -> None:
         points = quick_points(e for e in EXPERIMENTS if e.quick)
     else:
         points = swept_points(e for e in EXPERIMENTS if e.swept)
-    say(f"Running {len(points)} experiments over settings, one at a time to time them ...")
+    print_progress(f"Timing {len(points)} experiments over settings, one at a time ...")
     measure_costs(report, points)
     report.combined = combine(report.swept)
     report.qualities = choose_qualities(report.combined)
-    say("Running the other experiments, the stability map and the hard cases, two at once ...")
+    print_progress("Running other experiments, the stability map and hard cases, two at a time ...")
     with workers(2) as pool:
         measure_rest(report, pool, quick=options.quick)
     if not options.quick:
-        say("Measuring soft hands, alone ...")
+        print_progress("Measuring soft hands ...")
         report.hands = measure_hands()
-        say("Measuring surfaces ...")
+        print_progress("Measuring surfaces ...")
         report.live_surfaces = measure_live_surfaces()
         report.surfaces = measure_surfaces()
-        say("Measuring a frame of live sculpting, alone ...")
+        print_progress("Measuring a frame of live sculpting ...")
         report.frames = measure_frames()
         report.ablation = run_ablation(options.output)
-        say("Running touch ...")
+        print_progress("Running touch ...")
         report.touch = run_touch(options.output)
     report.seconds = time.perf_counter() - begin
     draw(report, options.output)
     write_page(report, options.output)
     write_data(report, options.output)
-    say(f"Wrote {options.output / 'report.md'}, its pictures and report.json.")
+    print_progress(f"Wrote {options.output / 'report.md'}, its pictures and report.json.")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the report that modules of their own bring: hard cases, surfaces, hands and others.
+"""Parts of the report from separate modules: hard cases, surfaces, hands and others.
 
-Each is run where its module stands beside this folder, and left out where it does not.
+Each is run if its module exists beside this folder, and omitted otherwise.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PARENT = "tactile_clay.tests.experiments"
 
 
 def companion(name: str) -> ModuleType | None:
-    """Import a module beside this folder, if it is there."""
+    """Import a module beside this folder; None if it does not exist."""
     full = f"{PARENT}.{name}"
     try:
         return importlib.import_module(full)
@@ -34,26 +34,26 @@ def companion(name: str) -> ModuleType | None:
 
 @dataclass(frozen=True)
 class HardCaseResult:
-    """What happened in a hard case."""
+    """The outcome of a hard case."""
 
     name: str
-    """Its name."""
+    """Name of the case."""
     passed: bool
     """Whether it was survived."""
     figures: dict[str, Any]
     """The fields of its result."""
     failure: str = ""
-    """What it raised, empty where nothing."""
+    """The exception that it raised; empty if none."""
 
 
 def hard_cases() -> dict[str, Callable[[], Any]]:
-    """The hard cases there are, by name."""
+    """The available hard cases by name."""
     module = companion("hard_cases")
     return dict(module.CASES) if module else {}
 
 
 def run_hard_case(name: str) -> HardCaseResult:
-    """Run one; what it raises is part of what happened."""
+    """Run a hard case; an exception is part of the outcome."""
     wp.config.quiet = True
     try:
         result = hard_cases()[name]()
@@ -63,10 +63,10 @@ def run_hard_case(name: str) -> HardCaseResult:
 
 
 def run_ablation(folder: Path) -> list[str]:
-    """Drop the block on the incline in every model and variant, and draw what became of it.
+    """Drop the block on the incline in every model and variant, and draw the outcomes.
 
     Returns:
-        Lines of Markdown, none where there is no ablation.
+        Lines of Markdown, none without the ablation modules.
     """
     ablation, picture = companion("ablation"), companion("ablation_picture")
     if ablation is None or picture is None:
@@ -92,30 +92,30 @@ def run_ablation(folder: Path) -> list[str]:
 
 
 def run_touch(folder: Path) -> list[str]:
-    """Render touch and judge drives, and draw what came out.
+    """Render touch and judge drives, and draw the results.
 
     Returns:
-        Lines of Markdown, none where there is no such module.
+        Lines of Markdown, none without the module.
     """
     touch = companion("touch_report")
     return list(touch.run_touch(folder)) if touch else []
 
 
 def measure_surfaces() -> list[str]:
-    """Measure how far surfaces are from the shapes that were filled.
+    """Measure the distance of surfaces from the filled shapes.
 
     Returns:
-        Lines of Markdown, none where there is no such module.
+        Lines of Markdown, none without the module.
     """
     surfaces = companion("surface_accuracy")
     return list(surfaces.surface_lines()) if surfaces else []
 
 
 def measure_hands() -> list[str]:
-    """Measure what soft hands cost, and how they press.
+    """Measure the cost of soft hands, and how they press.
 
     Returns:
-        Lines of Markdown, none where there are no hands.
+        Lines of Markdown, none without the modules.
     """
     cost, press = companion("hand_cost"), companion("hand_press")
     if cost is None or press is None:
@@ -124,10 +124,10 @@ def measure_hands() -> list[str]:
 
 
 def measure_live_surfaces() -> list[str]:
-    """Measure what surfaces cost while clay is worked, and how far off they are.
+    """Measure the cost and error of surfaces while clay is worked.
 
     Returns:
-        Lines of Markdown, none where there is no such module.
+        Lines of Markdown, none without the module.
     """
     surface = companion("live_surface")
     if surface is None:
@@ -136,10 +136,10 @@ def measure_live_surfaces() -> list[str]:
 
 
 def measure_frames() -> list[str]:
-    """Measure where the time of a frame of live sculpting goes.
+    """Measure the breakdown of a live sculpting frame's time.
 
     Returns:
-        Lines of Markdown, none where there is no Blender.
+        Lines of Markdown, none without Blender.
     """
     budget = companion("frame_budget")
     if budget is None or importlib.util.find_spec("bpy") is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An experiment of the report: how it is run, and what it is judged by."""
+"""An experiment of the report: how it is run, and the figures by which it is judged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_clay.solver import Settings
 from .figure import Figure
 
 SPACING = 0.005
-"""Where an experiment is run at one spacing only [m]."""
+"""Spacing of experiments that are run at only one [m]."""
 
 
 @dataclass(frozen=True)
@@ -20,16 +20,16 @@ class Experiment:
     """An experiment with a known answer."""
 
     name: str
-    """As the report calls it."""
+    """Name in the report."""
     run: Callable[[Settings, float], Any]
-    """Run it at a setting and a spacing [m]; gives the result that the figures are read from."""
+    """Run it at a setting and a spacing [m]; the figures are read from the result."""
     figures: tuple[Figure, ...]
-    """What it is judged by."""
+    """Figures by which it is judged."""
     source: str
-    """Where the reference comes from."""
+    """Source of the reference."""
     swept: bool = False
-    """Whether it is run over substeps and iterations too, for error against cost."""
+    """Whether it is also run over substeps and iterations, for error against cost."""
     spacings: tuple[float, ...] = (SPACING,)
-    """Spacings it is swept over [m]; the first is the one of the live figures."""
+    """Spacings over which it is swept [m]; the first is used for the live figures."""
     quick: bool = False
     """Whether it is part of the quick report."""

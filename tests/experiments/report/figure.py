@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What an experiment is judged by: a figure, the reference it should meet, and its error.
+"""Figures by which an experiment is judged, with their references and errors.
 
-The error of a figure is its distance from a reference band [low, high], in the figure's own unit:
-0 inside the band. Where theory gives one number the band has no width; where theories differ, as
-slip-line constants or the slumps of Pashias and von Mises, the band spans them. Over the tolerance,
-which is the goal set for the figure, the error becomes a pure number that can be compared between
-experiments: 1 is a goal just met.
+The error of a figure is its distance from a reference band [low, high] in the figure's unit, 0
+inside the band. The band has no width if theory gives one number; if theories differ, like
+slip-line constants or the slumps of Pashias and von Mises, it spans them. Divided by the tolerance,
+the goal set for the figure, the error becomes a pure number that can be compared between
+experiments: 1 means that the goal is just met.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ Reference = float | tuple[float, float] | Callable[[Any], float | tuple[float, f
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure that an experiment's result holds."""
+    """A figure in an experiment's result."""
 
     name: str
-    """As the report calls it."""
+    """Name in the report."""
     value: str | Value
-    """The result's attribute, or what makes the figure of the result."""
+    """Attribute of the result, or a function of the result."""
     reference: Reference
-    """What it should be: a number, a band, or what makes them of the result."""
+    """Expected value: a number, a band, or a function of the result that returns either."""
     tolerance: float
-    """The goal: how far from the reference is good enough, in the figure's unit, or as a part of
-    the reference where `relative`."""
+    """The goal: largest acceptable distance from the reference, in the figure's unit, or as a
+    fraction of the reference if `relative`."""
     unit: str = ""
-    """Unit, empty for a pure number."""
+    """Unit; empty for a pure number."""
     relative: bool = False
-    """Whether the tolerance is a part of the reference."""
+    """Whether the tolerance is relative to the reference."""
 
     def measure(self, result: Any) -> Measurement:
-        """Judge a result."""
+        """Measure the figure in a result."""
         value = self.value(result) if callable(self.value) else float(getattr(result, self.value))
         reference = self.reference(result) if callable(self.reference) else self.reference
         low, high = reference if isinstance(reference, tuple) else (reference, reference)
@@ -47,37 +47,37 @@ class Figure:
         return Measurement(self.name, self.unit, float(value), low, high, self.tolerance * scale)
 
     def missing(self) -> Measurement:
-        """Stand in for a result that there is none of."""
+        """Measurement for a missing result, with infinite error."""
         return Measurement(self.name, self.unit, math.nan, math.nan, math.nan, 1.0)
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A figure that was measured."""
+    """A measured figure."""
 
     figure: str
-    """Its name."""
+    """Name of the figure."""
     unit: str
-    """Its unit."""
+    """Unit of the figure."""
     value: float
-    """What was measured."""
+    """Measured value."""
     low: float
     """Lower end of the reference."""
     high: float
-    """Upper end of the reference; infinite where there is none."""
+    """Upper end of the reference; infinite if there is none."""
     tolerance: float
-    """How far from the reference is good enough, in the figure's unit."""
+    """Largest acceptable distance from the reference, in the figure's unit."""
 
     @property
     def error(self) -> float:
-        """Distance from the reference, in the figure's unit; infinite where nothing came out."""
+        """Distance from the reference in the figure's unit; infinite without a finite value."""
         if not math.isfinite(self.value):
             return math.inf
         return max(self.low - self.value, self.value - self.high, 0.0)
 
     @property
     def score(self) -> float:
-        """Error over tolerance: 1 is a goal just met."""
+        """Error over tolerance; 1 if the goal is just met."""
         return self.error / self.tolerance
 
     def reference_text(self) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the frames of an experiment cost, whatever solvers it makes."""
+"""Cost of an experiment's frames, over all solvers that it makes."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from unittest.mock import patch
 from tactile_clay.solver import Solver
 
 FRAME = 1.0 / 60.0
-"""A frame [s]."""
+"""Length of a frame [s]."""
 WARM_UP = 4
-"""First steps of each solver that are not counted: they load and record passes."""
+"""Number of first steps of each solver that are not counted: they load and record passes."""
 
 
 class TooExpensiveError(RuntimeError):
-    """An experiment took more processor time than it was given."""
+    """An experiment exceeded its limit of processor time."""
 
 
 @dataclass
 class Meter:
-    """Processor time that went into `Solver.step`: over all of the process's threads."""
+    """Processor time spent in `Solver.step`, over all threads of the process."""
 
     limit: float
     """Processor time after which to give up [s]."""
     spent: float = 0.0
-    """In all steps [s]."""
+    """Processor time of all steps [s]."""
     counted: float = 0.0
-    """In the steps after warming up [s]."""
+    """Processor time of the steps after warming up [s]."""
     frames: float = 0.0
-    """Simulated time of those, in frames of 1/60 s."""
+    """Simulated time of those steps, in frames of 1/60 s."""
     particle_frames: float = 0.0
-    """The same, times the particles."""
+    """Number of frames times particles."""
     steps: dict[int, int] = field(default_factory=dict)
-    """Steps of each solver so far."""
+    """Number of steps of each solver so far."""
 
     @property
     def core_ms(self) -> float:
-        """Processor milliseconds a frame."""
+        """Processor milliseconds per frame."""
         return 1e3 * self.counted / self.frames if self.frames else 0.0
 
     @property
     def microseconds(self) -> float:
-        """Processor microseconds a particle and frame."""
+        """Processor microseconds per particle and frame."""
         return 1e6 * self.counted / self.particle_frames if self.particle_frames else 0.0
 
     def count(self, solver: Solver, duration: float, seconds: float) -> None:
-        """Take a step into account.
+        """Count a step.
 
         Raises:
             TooExpensiveError: The limit is reached.
@@ -68,7 +68,7 @@ class Meter:
 
 @contextmanager
 def metered(limit: float) -> Iterator[Meter]:
-    """Measure every step that any solver makes meanwhile."""
+    """Measure every step of any solver inside the context."""
     meter = Meter(limit)
     step = Solver.step
 

@@ -19,20 +19,20 @@ from .stability import EJECTED_SPEED, JITTER_SPEED, Cell, Margin
 from .sweep import QUALITIES, SCORE_LIMIT, Combined
 
 ABOUT_ERRORS = f"""\
-An error is the distance of a figure from its reference, 0 inside the reference's band: where theory
-gives one number the band has no width, where theories differ it spans them. Divided by the goal set
-for the figure, as in the table below, it becomes a number that can be compared: *1 goal* is a goal
-just met. An experiment's error is its worst figure's. Over all experiments the mean is taken of all
-figures, each counted as {SCORE_LIMIT:g} goals at most, so that a figure that is entirely wrong does
-not hide the others; the worst figure and the number of goals met stand beside it.
+An error is the distance of a figure from its reference, 0 inside the reference's band: the band has
+no width if theory gives one number, and spans the theories if they differ. Divided by the goal set
+for the figure, as in the table below, errors can be compared: *1 goal* means that the goal is just
+met. An experiment's error is that of its worst figure. The mean over all experiments is taken over
+all figures, each counted as at most {SCORE_LIMIT:g} goals, so that an entirely wrong figure does
+not hide the others; the worst figure and the number of goals met are listed too.
 
-Cost is processor time of the solver's steps alone, over all threads, with nothing else of the
-report running, without each solver's first steps. A frame is 1/60 s of simulated time."""
+Cost is the processor time of the solver's steps alone, over all threads, with no other experiment
+running, without each solver's first steps. A frame is 1/60 s of simulated time."""
 
 
 @dataclass
 class Report:
-    """All that was found out."""
+    """All results of the report."""
 
     machine: dict[str, Any]
     """Processor, cores and versions."""
@@ -41,39 +41,40 @@ class Report:
     swept: list[Outcome] = field(default_factory=list)
     """Swept experiments at all settings."""
     combined: list[Combined] = field(default_factory=list)
-    """Settings over all swept experiments."""
+    """Settings, combined over all swept experiments."""
     qualities: dict[str, Combined] = field(default_factory=dict)
-    """Draft, live and film."""
+    """Settings for draft, live and film."""
     cells: list[Cell] = field(default_factory=list)
     """The stability map."""
-    room: Margin | None = None
-    """Margin of the live setting in it."""
+    margin: Margin | None = None
+    """Stability margin of the live setting."""
     hard_cases: list[HardCaseResult] = field(default_factory=list)
-    """What happened in hard cases."""
+    """Outcomes of the hard cases."""
     hands: list[str] = field(default_factory=list)
-    """Lines of the part about soft hands."""
+    """Lines of the section about soft hands."""
     live_surfaces: list[str] = field(default_factory=list)
-    """Lines of the part about surfaces while clay is worked."""
+    """Lines of the section about surfaces while clay is worked."""
     ablation: list[str] = field(default_factory=list)
-    """Lines of the ablation's part."""
+    """Lines of the section about the ablation."""
     surfaces: list[str] = field(default_factory=list)
-    """Lines of the part about surfaces."""
+    """Lines of the section about surfaces."""
     frames: list[str] = field(default_factory=list)
-    """Lines of the live frame's part."""
+    """Lines of the section about a live frame."""
     touch: list[str] = field(default_factory=list)
-    """Lines of touch's part."""
+    """Lines of the section about touch."""
     seconds: float = 0.0
-    """What the report took [s]."""
+    """Duration of the report [s]."""
 
 
 def write_page(report: Report, folder: Path) -> None:
     """Write report.md."""
-    lines = ["# What the clay was measured to do", ""]
+    lines = ["# Measurements of the clay", ""]
     lines += [" · ".join(f"{k} {v}" for k, v in report.machine.items()), ""]
     live = Settings()
+    count = live.iterations or "as many as stiffness requires"
     lines += [
-        f"The live setting, `Settings()`, takes {live.substeps} substeps a frame of "
-        f"{live.iterations or 'as many as stiffness asks for'} iterations, model `{live.model}`.",
+        f"The live setting, `Settings()`: {live.substeps} substeps per frame, iterations per "
+        f"substep: {count}, model `{live.model}`.",
         "",
         "## Errors and cost",
         "",
@@ -92,11 +93,11 @@ def write_page(report: Report, folder: Path) -> None:
     if report.cells:
         lines += ["## Stability", "", "![Substep against stiffness](stability.png)", ""]
         lines += [
-            "A block is pressed by a ball, let go, and left alone for half a second. It is "
+            "A block is pressed by a ball, released, and left alone for half a second. It is "
             "*stable* if its root-mean-square speed is then below "
-            f"{1e3 * JITTER_SPEED:g} mm/s (the number in the field), else it *jitters*; it has "
-            f"*blown up* if a particle ever went faster than {EJECTED_SPEED:g} m/s (the number in "
-            "the field), had to be slowed or was not finite.",
+            f"{1e3 * JITTER_SPEED:g} mm/s (the number in the cell), else it *jitters*; it has "
+            f"*blown up* if a particle was ever faster than {EJECTED_SPEED:g} m/s (the number in "
+            "the cell), had to be slowed or was not finite.",
             "",
         ]
     if report.hands:
@@ -120,10 +121,10 @@ def write_page(report: Report, folder: Path) -> None:
 def _quality_table(report: Report) -> list[str]:
     lines = [
         "*Live* is the default. *Film* is the cheapest setting on the front whose mean error is "
-        "within a tenth of the least. *Draft* is the cheapest on the front whose mean and worst "
+        "within a tenth of the smallest. *Draft* is the cheapest on the front whose mean and worst "
         "errors are at most twice those of live.",
         "",
-        "| quality | substeps × iterations | µs a particle and frame | mean error, goals "
+        "| quality | substeps × iterations | µs per particle and frame | mean error, goals "
         "| worst error, goals | goals met |",
         "|---|---|---|---|---|---|",
     ]
@@ -143,12 +144,12 @@ def _live_table(report: Report) -> list[str]:
     timed = {o.point for o in report.swept}
     lines = [
         "| experiment | figure | measured | reference | goal: within | error, goals "
-        "| core-ms a frame |",
+        "| core-ms per frame |",
         "|---|---|---|---|---|---|---|",
     ]
     for outcome in outcomes:
         name = outcome.point.experiment
-        # The others ran two at once.
+        # The others ran two at a time.
         cost = f"{outcome.core_ms:.1f}" if outcome.point in timed else ""
         for m in outcome.measurements:
             mark = "" if m.score <= 1.0 else " ✗"
@@ -181,9 +182,9 @@ def _spacing_table(outcomes: Sequence[Outcome]) -> list[str]:
     if not finer:
         return []
     lines = [
-        "At other spacings, at the live setting; figures in order of the table above:",
+        "At other spacings, at the live setting; figures in the order of the table above:",
         "",
-        "| experiment | spacing | measured | core-ms a frame |",
+        "| experiment | spacing | measured | core-ms per frame |",
         "|---|---|---|---|",
     ]
     for o in sorted(live, key=lambda o: o.point.spacing):
@@ -211,7 +212,7 @@ def _hard_case_table(cases: Sequence[HardCaseResult]) -> list[str]:
         survived = "yes" if case.passed else "**no**"
         lines.append(f"| {case.name} | {survived} | {' | '.join(cells)} |")
     passed = sum(case.passed for case in cases)
-    return [f"{passed} of {len(cases)} are survived.", "", *lines, ""]
+    return [f"{passed} of {len(cases)} cases are survived.", "", *lines, ""]
 
 
 def _shown(value: Any) -> str:
@@ -221,7 +222,7 @@ def _shown(value: Any) -> str:
 
 
 def write_data(report: Report, folder: Path) -> None:
-    """Write report.json: numbers that are not finite become null."""
+    """Write report.json, with numbers that are not finite as null."""
     data = {
         "machine": report.machine,
         "seconds": report.seconds,
@@ -232,7 +233,7 @@ def write_data(report: Report, folder: Path) -> None:
         "qualities": {name: asdict(c) for name, c in report.qualities.items()},
         "stability": {
             "cells": [asdict(c) | {"behavior": c.behavior.value} for c in report.cells],
-            "margin": asdict(report.room) if report.room else None,
+            "margin": asdict(report.margin) if report.margin else None,
         },
         "hard_cases": [asdict(case) for case in report.hard_cases],
     }

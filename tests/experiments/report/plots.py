@@ -21,7 +21,7 @@ from tactile_clay.solver import Settings
 from tactile_clay.solver.scene.settings import MODELS
 
 from .point import Outcome
-from .stability import MODULI, Behaviour, Cell, Margin
+from .stability import MODULI, Behavior, Cell, Margin
 from .stability import SUBSTEPS as MAP_SUBSTEPS
 from .sweep import QUALITIES, Combined, front
 
@@ -34,10 +34,10 @@ FAIR = "#d9a441"
 SUBSTEP_COLORS = {1: "#e3b08a", 2: "#d98452", 4: "#b5482a", 8: "#7c2f3c", 16: "#3f2444"}
 SPACING_MARKERS = ("o", "v", "s", "D")
 MODEL_LINES = ("none", INK, GOOD, FAIR)
-LEAST = 1e-3
-"""Errors below this part of the goal are drawn here."""
-MOST = 1e2
-"""Errors beyond so many goals, and runs that came to no end, are drawn here."""
+MIN_DRAWN = 1e-3
+"""Smaller errors, in goals, are drawn at this value."""
+MAX_DRAWN = 1e2
+"""Larger errors, in goals, and runs that failed are drawn at this value."""
 
 
 def _picture(width: float, height: float) -> Picture:
@@ -70,7 +70,7 @@ def _plain_log(axis: Any, subs: tuple[float, ...] = (1.0, 2.0, 5.0)) -> None:
 
 
 def _size(iterations: int | None) -> float:
-    # Where the solver chooses, the default material gets about six.
+    # If the solver chooses, the default material gets about six.
     iterations = iterations or 6
     return 8.0 + 11.0 * math.log2(iterations + 1) ** 1.6
 
@@ -107,7 +107,7 @@ def plot_combined(combined: Sequence[Combined], chosen: dict[str, Combined], pat
     _dress(
         axes,
         title="Error against cost, over all swept experiments",
-        x="processor time a particle and frame [µs]",
+        x="processor time per particle and frame [µs]",
         y="mean error, in goals",
     )
     axes.set_xscale("log")
@@ -148,7 +148,7 @@ def plot_combined(combined: Sequence[Combined], chosen: dict[str, Combined], pat
         axes.annotate(
             f"{name}\n{_label(item.settings)}",
             (item.microseconds, item.mean),
-            # Beside each other, where the chosen lie close together.
+            # Offset sideways, because the chosen may lie close together.
             xytext=(45 * (place - 1), -44 - 14 * (place % 2)),
             textcoords="offset points",
             fontsize=9,
@@ -162,7 +162,7 @@ def plot_combined(combined: Sequence[Combined], chosen: dict[str, Combined], pat
     means = [c.mean for c in combined] + [1.0]
     axes.set_ylim(min(means) / 1.9, max(means) * 1.2)
     costs = [c.microseconds for c in combined]
-    # Room for the legends and for names.
+    # Leave space for the legends and names.
     axes.set_xlim(min(costs) / 2.0, max(costs) * 4.5)
     used = sorted({c.settings.substeps for c in combined})
     _substeps_legend(axes, used, loc="upper right")
@@ -188,25 +188,25 @@ def _iterations_legend(axes: Axes, handles: Sequence[PathCollection]) -> None:
 
 
 def _drawn(score: float) -> float:
-    return min(max(score, LEAST), MOST)
+    return min(max(score, MIN_DRAWN), MAX_DRAWN)
 
 
 def plot_experiments(outcomes: Sequence[Outcome], path: Path) -> None:
-    """Worst error of each experiment against its cost, one field an experiment."""
+    """Worst error of each experiment against its cost, one panel per experiment."""
     names = list(dict.fromkeys(o.point.experiment for o in outcomes))
     columns = 3 if len(names) > 4 else 2
     rows = math.ceil(len(names) / columns)
     picture = _picture(3.6 * columns, 2.9 * rows + 0.7)
-    fields = picture.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes in fields.flat[len(names) :]:
+    panels = picture.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes in panels.flat[len(names) :]:
         axes.set_visible(False)
-    for axes, name in zip(fields.flat, names, strict=False):
+    for axes, name in zip(panels.flat, names, strict=False):
         group = [o for o in outcomes if o.point.experiment == name]
         spacings = list(dict.fromkeys(o.point.spacing for o in group))
-        _dress(axes, title=name, x="core-ms a frame")
+        _dress(axes, title=name, x="core-ms per frame")
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_ylim(LEAST / 1.6, MOST * 1.6)
+        axes.set_ylim(MIN_DRAWN / 1.6, MAX_DRAWN * 1.6)
         axes.axhline(1.0, color=GOOD, linewidth=1.0, linestyle="--")
         for outcome in group:
             _experiment_point(axes, outcome, spacings)
@@ -233,7 +233,7 @@ def plot_experiments(outcomes: Sequence[Outcome], path: Path) -> None:
                 for m, d in zip(SPACING_MARKERS, spacings, strict=False)
             ]  # fmt: skip
             axes.legend(handles=handles, fontsize=7, frameon=False, labelcolor=INK, loc="best")
-    for axes in fields[:, 0]:
+    for axes in panels[:, 0]:
         axes.set_ylabel("worst error, in goals", color=INK, fontsize=9)
     used = sorted({o.point.settings.substeps for o in outcomes})
     picture.legend(
@@ -262,18 +262,18 @@ def plot_experiments(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def _experiment_point(axes: Axes, outcome: Outcome, spacings: Sequence[float]) -> None:
     settings = outcome.point.settings
-    which = spacings.index(outcome.point.spacing)
+    index = spacings.index(outcome.point.spacing)
     axes.scatter(
         outcome.core_ms,
         _drawn(outcome.score),
         s=0.7 * _size(settings.iterations),
-        marker=SPACING_MARKERS[which % len(SPACING_MARKERS)],
+        marker=SPACING_MARKERS[index % len(SPACING_MARKERS)],
         color=SUBSTEP_COLORS.get(settings.substeps, INK),
         edgecolor=MODEL_LINES[MODELS.index(settings.model) % len(MODEL_LINES)],
-        alpha=0.9 if which == 0 else 0.55,
+        alpha=0.9 if index == 0 else 0.55,
         zorder=3,
     )
-    if settings == Settings() and which == 0:
+    if settings == Settings() and index == 0:
         axes.scatter(
             outcome.core_ms,
             _drawn(outcome.score),
@@ -286,9 +286,9 @@ def _experiment_point(axes: Axes, outcome: Outcome, spacings: Sequence[float]) -
 
 
 def _score_text(value: float, _: int = 0) -> str:
-    if value <= LEAST:
-        return f"≤ {LEAST:g}"
-    return f"≥ {MOST:g}" if value >= MOST else f"{value:g}"
+    if value <= MIN_DRAWN:
+        return f"≤ {MIN_DRAWN:g}"
+    return f"≥ {MAX_DRAWN:g}" if value >= MAX_DRAWN else f"{value:g}"
 
 
 def plot_scoreboard(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -298,14 +298,15 @@ def plot_scoreboard(outcomes: Sequence[Outcome], path: Path) -> None:
     axes = picture.add_subplot()
     _dress(axes, title="Errors at the live setting", x="error, in goals (1: just met)")
     axes.set_xscale("log")
-    axes.set_xlim(LEAST / 1.3, MOST)
+    axes.set_xlim(MIN_DRAWN / 1.3, MAX_DRAWN)
     axes.grid(False, axis="y")
     axes.axvline(1.0, color=INK, linewidth=1.0)
     names = []
     for row, (experiment, m) in enumerate(lines):
         color = GOOD if m.score <= 1.0 else FAIR if m.score <= 2.0 else ACCENT
         end = _drawn(m.score)
-        axes.plot((LEAST / 1.3, end), (row, row), color=color, linewidth=5, solid_capstyle="butt")
+        start = MIN_DRAWN / 1.3
+        axes.plot((start, end), (row, row), color=color, linewidth=5, solid_capstyle="butt")
         axes.annotate(
             f"{m.value:.4g} {m.unit}".strip(),
             (end, row),
@@ -328,10 +329,10 @@ def plot_scoreboard(outcomes: Sequence[Outcome], path: Path) -> None:
 
 
 def plot_stability(
-    cells: Sequence[Cell], settings: Settings, shear_modulus: float, room: Margin, path: Path
+    cells: Sequence[Cell], settings: Settings, shear_modulus: float, margin: Margin, path: Path
 ) -> None:
-    """Length of a substep against stiffness: where clay is stable, jitters or blows up."""
-    order = (Behaviour.STABLE, Behaviour.JITTER, Behaviour.BLOWN_UP)
+    """Map of length of a substep and stiffness, where clay is stable, jitters or blows up."""
+    order = (Behavior.STABLE, Behavior.JITTER, Behavior.BLOWN_UP)
     substeps = [n for n in MAP_SUBSTEPS if any(c.substeps == n for c in cells)]
     moduli = [g for g in MODULI if any(c.shear_modulus == g for c in cells)]
     table = np.full((len(moduli), len(substeps)), np.nan)
@@ -342,8 +343,8 @@ def plot_stability(
     axes = picture.add_subplot()
     _dress(
         axes,
-        title=f"Stability at {settings.iterations or 'the chosen'} iterations",
-        x="substep [ms]  (substeps a frame)",
+        title=f"Stability with {settings.iterations or 'automatic'} iterations",
+        x="substep [ms]  (substeps per frame)",
         y="shear modulus [Pa]",
     )
     axes.grid(False)
@@ -369,14 +370,14 @@ def plot_stability(
     axes.set_xticks(range(len(substeps)), [f"{1e3 / 60.0 / n:.2g}\n({n})" for n in substeps])
     axes.set_yticks(range(len(moduli)), [_modulus_text(g) for g in moduli])
     handles = [
-        Line2D([], [], marker="s", linestyle="", markersize=9, color=color, label=which.value)
-        for color, which in zip(("#a8c3ae", "#efcf8d", "#d68a6c"), order, strict=True)
+        Line2D([], [], marker="s", linestyle="", markersize=9, color=color, label=behavior.value)
+        for color, behavior in zip(("#a8c3ae", "#efcf8d", "#d68a6c"), order, strict=True)
     ]
     handles.append(
         Line2D(
             [], [], marker="s", linestyle="", markersize=11, markerfacecolor="none",
             markeredgecolor=INK, markeredgewidth=2,
-            label=f"live: {_margin_text(room)}",
+            label=f"live: {_margin_text(margin)}",
         )
     )  # fmt: skip
     picture.legend(
@@ -405,14 +406,14 @@ def _mark_live(
     )
 
 
-def _margin_text(room: Margin) -> str:
-    longer = f"{'' if room.time_step_bounded else '≥ '}{room.time_step:.2g}"
-    stiffer = f"{'' if room.stiffness_bounded else '≥ '}{room.stiffness:.2g}"
+def _margin_text(margin: Margin) -> str:
+    longer = f"{'' if margin.time_step_bounded else '≥ '}{margin.time_step:.2g}"
+    stiffer = f"{'' if margin.stiffness_bounded else '≥ '}{margin.stiffness:.2g}"
     return f"stable to {longer} × the substep, {stiffer} × the stiffness"
 
 
 def _speed_text(cell: Cell) -> str:
-    if cell.behavior is Behaviour.BLOWN_UP:
+    if cell.behavior is Behavior.BLOWN_UP:
         return f"{cell.max_speed:.1f} m/s" if math.isfinite(cell.max_speed) else "—"
     return f"{1e3 * cell.rms_speed:.0e}".replace("e-0", "e-") + " mm/s"
 

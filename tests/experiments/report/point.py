@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One run of one experiment: at a setting and a spacing, with its figures and what it cost."""
+"""One run of an experiment at a setting and a spacing, with its figures and cost."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ from .meter import TooExpensiveError, metered
 from .registry import find
 
 TIME_LIMIT = 90.0
-"""Processor time after which an experiment is given up [s]."""
+"""Processor time after which an experiment is aborted [s]."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """An experiment to run."""
+    """A run of an experiment."""
 
     experiment: str
-    """Its name."""
+    """Name of the experiment."""
     settings: Settings
-    """How finely."""
+    """Solver settings."""
     spacing: float
     """Particle spacing [m]."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out."""
+    """The outcome of a run."""
 
     point: Point
-    """What was run."""
+    """The run."""
     measurements: tuple[Measurement, ...]
-    """Its figures."""
+    """Measured figures."""
     core_ms: float
-    """Processor milliseconds a frame of 1/60 s."""
+    """Processor milliseconds per frame of 1/60 s."""
     microseconds: float
-    """Processor microseconds a particle and frame."""
+    """Processor microseconds per particle and frame."""
     failure: str = ""
-    """Why it came to no end, empty where it did."""
+    """Why it failed; empty if it did not."""
 
     @property
     def score(self) -> float:
-        """The worst of the figures' errors over their tolerances."""
+        """The worst score of all figures."""
         return max(m.score for m in self.measurements)
 
     @property
     def median_score(self) -> float:
-        """The median of the figures' errors over their tolerances."""
+        """The median score of all figures."""
         return statistics.median(m.score for m in self.measurements)
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """All values as a dictionary, for JSON."""
         return {
             "experiment": self.point.experiment,
             "settings": asdict(self.point.settings),
@@ -102,18 +102,18 @@ def run_point(point: Point) -> Outcome:
 
 
 def warm_up() -> None:
-    """Load and compile what experiments need, so that none of it is counted to the first."""
+    """Load and compile what experiments need, so that it does not count as the first one's cost."""
     wp.config.quiet = True
     stand(duration=0.2, settle=0.1)
     run_point(Point("press, 5 kPa, small ball", Settings(substeps=1, iterations=1), 0.01))
 
 
 def workers(count: int) -> ProcessPoolExecutor:
-    """Processes of their own, for what is not timed."""
+    """Worker processes for what is not timed."""
     return ProcessPoolExecutor(count, get_context("spawn"), initializer=warm_up)
 
 
 def run_points(points: Iterable[Point]) -> Iterator[Outcome]:
-    """Run points one after the other, alone, so that their cost is right."""
+    """Run points one at a time, so that their cost is correct."""
     for point in points:
         yield run_point(point)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The experiments of the report: one entry each, with the figures it is judged by.
+"""The experiments of the report, with the figures by which each is judged.
 
-To add one, write it as a function in a module of its own beside this folder, and add an entry.
+To add one, write it as a function in a module beside this folder, and add an entry.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def _press(material: Material, radius: float = 0.02) -> Callable[[Settings, floa
 
 
 def _slump(ratio: float) -> Callable[[Settings, float], Slump]:
-    """Let a cylinder of 60 mm slump, of a yield stress of so many ρ g H."""
+    """Let a 60 mm cylinder slump whose yield stress is ``ratio`` times ρ g H."""
     return lambda settings, spacing: slump(ratio, layers=round(0.06 / spacing), settings=settings)
 
 
 def _shear(modulus: float) -> Callable[[Settings, float], Elastic]:
-    """Shear a block of a modulus [Pa]."""
+    """Shear a block with a given modulus [Pa]."""
     return lambda settings, spacing: shear(
         material=Material(shear_modulus=modulus), settings=settings
     )
@@ -82,7 +82,7 @@ def _film(ratio: float, index: float) -> Callable[[Settings, float], Poiseuille]
 
 
 def _uniaxial(result: Elastic) -> tuple[float, float]:
-    """Force of a block compressed between plates: of a modulus of 2.5 to 3 G [N]."""
+    """Force of a block compressed between plates, for a modulus of 2.5 to 3 G [N]."""
     unit = result.expected / (0.5 * sum(STIFFNESS_OVER_SHEAR))
     return unit * STIFFNESS_OVER_SHEAR[0], unit * STIFFNESS_OVER_SHEAR[1]
 
@@ -97,15 +97,15 @@ def _moving(result: Press) -> tuple[float, float]:
 
 
 _SLIP_LINE = (
-    "slip-line theory of a round punch: 5.7 to 6.05 τ_y A (Hill 1950; Levin 1955); while it moves "
-    "8 η a v more"
+    "slip-line theory of a round punch: 5.7 to 6.05 τ_y A (Hill 1950; Levin 1955); 8 η a v more "
+    "while moving"
 )
 _PRESS = (
     Figure("force moving", "force_moving", _moving, 0.15, "N", relative=True),
     Figure("force held", "force_held", lambda r: r.theory, 0.15, "N", relative=True),
     Figure("spring-back", "spring_back", 0.0, 0.10),
     Figure("compression left", "compression_left", 0.0, 0.01),
-    Figure("penetration, in spacings", lambda r: r.largest_penetration / SPACING, 0.0, 0.1),
+    Figure("penetration, in spacings", lambda r: r.max_penetration / SPACING, 0.0, 0.1),
 )
 _SLUMP = (Figure("slump over height", "measured", lambda r: (r.pashias, r.von_mises), 0.05),)
 _PASHIAS = "Pashias et al. 1996 to the same for von Mises; tolerance 5 % of the height"
@@ -254,7 +254,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "merge without cohesion",
         lambda s, d: merge(material=Material(cohesion=0.0), settings=s),
         (Figure("rise of the lower block over the lift", lambda r: r.lower / r.lift, 0.0, 0.1),),
-        "without tension nothing comes up",
+        "without tensile strength the lower block stays",
     ),
     Experiment(
         "knife",
@@ -265,18 +265,18 @@ EXPERIMENTS: tuple[Experiment, ...] = (
             Figure("debris, particles", "debris", 0.0, 4.0),
             Figure("smaller piece over larger", "evenness", (0.9, 1.0), 0.1),
         ),
-        "two merged blocks are split where they met",
+        "two merged blocks are split at their joint",
     ),
     Experiment(
         "pull",
         lambda s, d: pull(settings=s),
         (
-            Figure("stretch at parting", "stretch", (1.5, math.inf), 0.1),
+            Figure("stretch at breaking", "stretch", (1.5, math.inf), 0.1),
             Figure("pieces", "piece_count", 2.0, 0.5),
             Figure("debris, particles", "debris", 0.0, 8.0),
             Figure("largest pull over √3 τ_y A", "force_ratio", 1.0, 0.15),
         ),
-        "a ductile bar necks beyond 1.5 times its length and parts into two",
+        "a ductile bar necks beyond 1.5 times its length and breaks in two",
         swept=True,
     ),
     *(
@@ -285,7 +285,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
             _shear(modulus),
             (
                 Figure("force over G γ A", "ratio", 1.0, 0.15),
-                Figure("deformation returned", "returned", 1.0, 0.02),
+                Figure("deformation recovered", "returned", 1.0, 0.02),
             ),
             "elasticity below yield: G γ A",
         )
@@ -296,7 +296,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         lambda s, d: compress(settings=s),
         (
             Figure("force", "force", _uniaxial, 0.15, "N", relative=True),
-            Figure("deformation returned", "returned", 1.0, 0.02),
+            Figure("deformation recovered", "returned", 1.0, 0.02),
         ),
         "elasticity below yield: 2.5 to 3 G ε A",
     ),
@@ -347,11 +347,11 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         "wheel at 100 rpm",
         lambda s, d: turn_wheel(settings=s),
         (
-            Figure("turning over the wheel's", "turn_ratio", 1.0, 0.01),
+            Figure("rotation over the wheel's", "turn_ratio", 1.0, 0.01),
             Figure("radius kept", "radius_ratio", 1.0, 0.01),
             Figure("weight over m g", "weight_ratio", 1.0, 0.01),
         ),
-        "what sticks turns with the wheel",
+        "a sticking block turns with the wheel",
     ),
     Experiment(
         "disc at 300 of 373 rpm",
@@ -360,7 +360,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
             Figure("radius over radius before", "radius_ratio", 1.0, 0.05),
             Figure("spin kept", "spin_kept", 1.0, 0.01),
         ),
-        "a thin disc holds up to ρ ω² R² = 3 σ_Y",
+        "a thin disc withstands up to ρ ω² R² = 3 σ_Y",
     ),
     Experiment(
         "hanging thread, 0.7 of its limit",
@@ -369,7 +369,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
             Figure("stretch", "stretch", 0.0, 0.05),
             Figure("pieces", "piece_count", 1.0, 0.5),
         ),
-        "a thread bears its weight up to √3 τ_y / ρ g",
+        "a thread holds its weight up to a length of √3 τ_y / ρ g",
     ),
     Experiment(
         "rest of 10,000 steps",
@@ -379,7 +379,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
             Figure("volume change", "volume_change", 0.0, 0.01),
             Figure("weight over m g", lambda r: r.weight_ratios[1], 1.0, 0.01),
         ),
-        "a block at rest stays as it is",
+        "a block at rest does not change",
     ),
     Experiment(
         "100 squeezes",
@@ -395,5 +395,5 @@ EXPERIMENTS: tuple[Experiment, ...] = (
 
 
 def find(name: str) -> Experiment:
-    """Look an experiment up by its name."""
+    """Find an experiment by name."""
     return next(experiment for experiment in EXPERIMENTS if experiment.name == name)

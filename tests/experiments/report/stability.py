@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the solver is stable: length of a substep against stiffness of the clay."""
+"""Stability map of the solver: length of a substep against stiffness of the clay."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ from tactile_clay.tests.experiments.shapes import at, ball, block
 from .meter import FRAME
 
 SUBSTEPS = (1, 2, 3, 4, 6, 8, 12, 16)
-"""Substeps in a frame."""
+"""Numbers of substeps per frame."""
 MODULI = tuple(float(10.0 ** (n / 2)) for n in range(7, 17))
 """Shear moduli [Pa]."""
 SPACING = 0.005
 JITTER_SPEED = 1e-3
-"""Clay left alone for half a second whose root-mean-square speed is higher than this jitters
-[m/s]."""
+"""Clay whose root-mean-square speed exceeds this after half a second alone jitters [m/s]."""
 TOOL_SPEED = 0.05
-"""Of the ball [m/s]: slow enough that no substeps are added for it."""
+"""Speed of the ball [m/s], slow enough not to add substeps."""
 EJECTED_SPEED = 1.0
-"""Clay faster than this, where nothing moves faster than `TOOL_SPEED`, has blown up [m/s]."""
+"""Clay faster than this has blown up [m/s], since nothing else exceeds `TOOL_SPEED`."""
 
 
-class Behaviour(Enum):
-    """What a block of clay did."""
+class Behavior(Enum):
+    """Behavior of a block of clay."""
 
     STABLE = "stable"
     JITTER = "jitter"
@@ -38,14 +37,14 @@ class Behaviour(Enum):
 
 @dataclass(frozen=True)
 class Cell:
-    """A place in the map."""
+    """A cell of the map."""
 
     substeps: int
-    """Substeps in a frame of 1/60 s."""
+    """Substeps per frame of 1/60 s."""
     shear_modulus: float
-    """[Pa]."""
-    behavior: Behaviour
-    """What the clay did."""
+    """Shear modulus [Pa]."""
+    behavior: Behavior
+    """Behavior of the clay."""
     rms_speed: float
     """Root-mean-square speed at the end [m/s]."""
     max_speed: float
@@ -58,7 +57,7 @@ class Cell:
 
 
 def run_cell(substeps: int, shear_modulus: float, settings: Settings) -> Cell:
-    """Press a ball into a block on a table, take it away, and look how the clay comes to rest."""
+    """Press a ball into a block on a table, remove it, and observe how the clay comes to rest."""
     scene = Scene(SPACING)
     scene.add_clay(block((8, 8, 6), SPACING), Material(shear_modulus=shear_modulus))
     scene.add_plane()
@@ -84,35 +83,35 @@ def run_cell(substeps: int, shear_modulus: float, settings: Settings) -> Cell:
     figures = solver.diagnostics()
     rms = math.sqrt(float(np.mean(squares[-12:])))
     if not fastest < EJECTED_SPEED or figures.quarantined or figures.clamped:
-        behavior = Behaviour.BLOWN_UP
+        behavior = Behavior.BLOWN_UP
     elif rms > JITTER_SPEED:
-        behavior = Behaviour.JITTER
+        behavior = Behavior.JITTER
     else:
-        behavior = Behaviour.STABLE
+        behavior = Behavior.STABLE
     return Cell(substeps, shear_modulus, behavior, rms, fastest)
 
 
 @dataclass(frozen=True)
 class Margin:
-    """How far the live setting is from what is not stable."""
+    """Distance of the live setting from instability."""
 
     time_step: float
     """How many times longer a substep can be at the live stiffness."""
     time_step_bounded: bool
-    """Whether something unstable lies beyond; else the map ends there."""
+    """Whether something unstable lies beyond; otherwise the map ends there."""
     stiffness: float
     """How many times stiffer the clay can be at the live substep."""
     stiffness_bounded: bool
-    """Whether something unstable lies beyond; else the map ends there."""
+    """Whether something unstable lies beyond; otherwise the map ends there."""
 
 
 def margin(cells: list[Cell], settings: Settings, shear_modulus: float) -> Margin:
-    """Find how far the map is stable from the live setting on, along either axis."""
+    """Find how far the map is stable beyond the live setting along each axis."""
 
     def reach(line: list[Cell], measure: str, start: float) -> tuple[float, bool]:
         last = start
         for cell in line:
-            if cell.behavior is not Behaviour.STABLE:
+            if cell.behavior is not Behavior.STABLE:
                 return last / start, True
             last = getattr(cell, measure)
         return last / start, False

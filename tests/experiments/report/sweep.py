@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings to run the experiments at, and what they come to over all of them."""
+"""Settings at which experiments are run, and their results over all experiments."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from .registry import EXPERIMENTS
 
 SUBSTEPS = (1, 2, 4, 8, 16)
 ITERATIONS = (1, 2, 4, 8, 16)
-MOST_WORK = 64
-"""Substeps times iterations are not swept beyond this."""
+MAX_WORK = 64
+"""Largest product of substeps and iterations in the sweep."""
 FEW = ((2, 2), (2, 4), (4, 4), (4, 8), (8, 8))
-"""Substeps and iterations at other spacings and for other models."""
+"""Substeps and iterations at other spacings and with other models."""
 
 T = TypeVar("T")
 
 
 def swept_settings() -> list[Settings]:
-    """The default model over substeps and iterations."""
+    """The default model at all substeps and iterations."""
     return [
         replace(Settings(), substeps=substeps, iterations=iterations)
         for substeps in SUBSTEPS
         for iterations in ITERATIONS
-        if substeps * iterations <= MOST_WORK
+        if substeps * iterations <= MAX_WORK
     ]
 
 
@@ -45,7 +45,7 @@ def few_settings(model: str) -> list[Settings]:
 
 
 def swept_points(experiments: Iterable[Experiment]) -> list[Point]:
-    """All runs of the sweep: settings at the first spacing, a few at the others and per model."""
+    """All runs of the sweep: all settings at the first spacing, a few at others and per model."""
     points: dict[Point, None] = {}
     default = Settings()
     for experiment in experiments:
@@ -63,7 +63,7 @@ def swept_points(experiments: Iterable[Experiment]) -> list[Point]:
 
 
 def quick_points(experiments: Iterable[Experiment]) -> list[Point]:
-    """As many as tell whether the sweep works."""
+    """Enough runs to test the sweep."""
     settings = [replace(Settings(), substeps=n, iterations=n) for n in (2, 4)]
     return list(
         dict.fromkeys(
@@ -76,28 +76,28 @@ def quick_points(experiments: Iterable[Experiment]) -> list[Point]:
 
 @dataclass(frozen=True)
 class Combined:
-    """A setting, over all swept experiments at their first spacing."""
+    """A setting's results over all swept experiments at their first spacing."""
 
     settings: Settings
     """The setting."""
     microseconds: float
-    """Processor microseconds a particle and frame: geometric mean over the experiments."""
+    """Processor microseconds per particle and frame: geometric mean over the experiments."""
     worst: float
-    """The worst error over its tolerance among all figures."""
+    """Worst score of all figures."""
     mean: float
-    """Mean over all figures of error over tolerance, each taken as 10 at most: what is ten goals
-    off is wrong, however far it is, and must not hide the others."""
+    """Mean score of all figures, each taken as at most 10, so that an entirely wrong figure does
+    not hide the others."""
     met: int
-    """Figures within their tolerance."""
+    """Number of figures within their tolerance."""
     count: int
-    """Figures."""
+    """Number of figures."""
 
 
 SCORE_LIMIT = 10.0
 
 
 def combine(outcomes: Sequence[Outcome]) -> list[Combined]:
-    """Gather each setting's outcomes; a setting that lacks an experiment is left out."""
+    """Combine each setting's outcomes, omitting settings that lack an experiment."""
     first = {e.name: e.spacings[0] for e in EXPERIMENTS}
     chosen = [o for o in outcomes if o.point.spacing == first[o.point.experiment]]
     names = {o.point.experiment for o in chosen}
@@ -121,7 +121,7 @@ def combine(outcomes: Sequence[Outcome]) -> list[Combined]:
 
 
 def front(items: Iterable[tuple[float, float, T]]) -> list[tuple[float, float, T]]:
-    """The items (cost, error, what) that no other beats in both; cheapest first."""
+    """Pareto front of items (cost, error, item), cheapest first."""
     best = math.inf
     kept = []
     for cost, error, item in sorted(items, key=lambda row: row[:2]):
@@ -137,9 +137,9 @@ QUALITIES = ("draft", "live", "film")
 def choose_qualities(combined: Sequence[Combined]) -> dict[str, Combined]:
     """Take draft, live and film from the front of cost against mean error.
 
-    Live is the default setting. Film is the cheapest of the front whose mean error is within a
-    tenth of the least. Draft is the cheapest of the front whose mean and worst errors are at most
-    twice the live setting's.
+    Live is the default setting. Film is the cheapest on the front whose mean error is within a
+    tenth of the smallest. Draft is the cheapest on the front whose mean and worst errors are at
+    most twice the live setting's.
     """
     if not combined:
         return {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Contact with meshes that move, turn, scale, deform and jump."""
+"""Contact with meshes that move, rotate, scale, deform and jump."""
 
 import numpy as np
 import pytest
@@ -30,8 +30,8 @@ def test_block_rests_on_a_mesh_and_weighs_m_g():
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 0.5), (-1.0, 1.0, 0.5), (2.0, 0.5, 0.5)])
-def test_scale_and_mirroring_of_a_tool_count(scale: tuple[float, float, float]):
-    """Rest on the top of a scaled, mirrored box where that top really is."""
+def test_scale_and_mirroring_of_a_tool_apply(scale: tuple[float, float, float]):
+    """Rest on the actual top of a scaled, mirrored box."""
     scene = Scene(SPACING)
     scene.add_clay(block(4, SPACING, (0, 0, 0.012)), Material())
     box = trimesh.creation.box((0.1, 0.1, 0.04))
@@ -51,16 +51,16 @@ def test_moving_floor_carries_its_block():
     box = trimesh.creation.box((0.2, 0.2, 0.04))
     belt = scene.add_mesh(box.vertices, box.faces)
     solver = Solver(scene)
-    way = 0.0
+    x = 0.0
     for frame in range(60):
-        way += 0.05 / 60 * min(1.0, frame / 20)
-        belt.set_pose(at(way, 0, 0))
+        x += 0.05 / 60 * min(1.0, frame / 20)
+        belt.set_pose(at(x, 0, 0))
         solver.step(1 / 60)
-    assert solver.positions()[:, 0].mean() == pytest.approx(way, abs=5e-4)
+    assert solver.positions()[:, 0].mean() == pytest.approx(x, abs=5e-4)
 
 
 def test_turning_floor_carries_its_block_round():
-    """Turn a block with a turntable."""
+    """Rotate a block with a turntable."""
     scene = Scene(SPACING)
     scene.add_clay(block(4, SPACING, (0, 0, 0.02)), Material())
     box = trimesh.creation.box((0.2, 0.2, 0.04))
@@ -79,7 +79,7 @@ def test_turning_floor_carries_its_block_round():
 
 
 def test_deforming_mesh_pushes_clay():
-    """Push with vertices that move, and feel the force."""
+    """Push clay with moving vertices, and report the force."""
     scene = Scene(SPACING, gravity=(0, 0, 0))
     scene.add_clay(block(4, SPACING, (0.03, 0, -0.01)), Material())
     sphere = ball(0.01)
@@ -97,7 +97,7 @@ def test_deforming_mesh_pushes_clay():
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
 def test_fast_tool_does_not_tunnel(speed: float):
-    """Sweep a ball through a block: nothing stays inside it, nothing flies off faster."""
+    """Sweep a ball through a block; nothing stays inside it or flies off faster."""
     scene = Scene(SPACING)
     scene.add_clay(block(8, SPACING), Material())
     scene.add_plane()
@@ -119,7 +119,7 @@ def test_fast_tool_does_not_tunnel(speed: float):
 
 
 def test_tool_that_jumps_inside_moves_clay_out_gently():
-    """Push out what a jumping tool covers, slowly, with little force at first."""
+    """Push clay out of a tool that jumped into it, slowly."""
     scene = Scene(SPACING)
     scene.add_clay(block(8, SPACING), Material())
     scene.add_plane()
@@ -140,7 +140,7 @@ def test_tool_that_jumps_inside_moves_clay_out_gently():
 
 
 def test_tool_far_away_costs_no_queries_and_changes_nothing():
-    """Give the same bits with a tool that never comes near."""
+    """Yield the same bits with a tool that never comes near."""
     results = []
     for with_tool in (False, True):
         scene = Scene(SPACING)
@@ -157,7 +157,7 @@ def test_tool_far_away_costs_no_queries_and_changes_nothing():
 
 
 def test_fast_tool_far_from_the_clay_takes_no_more_substeps():
-    """Keep frames cheap while a hand rushes about elsewhere, and sweep where it comes near."""
+    """Add no substeps while a tool moves fast elsewhere, and sweep when it comes near."""
     scene = Scene(SPACING)
     scene.add_clay(block(4, SPACING), Material())
     scene.add_plane()

@@ -32,7 +32,7 @@ def boxes_of(points: np.ndarray, low: np.ndarray, edge: float, counts: tuple) ->
 
 
 def test_points_lie_in_their_boxes():
-    """Give the box that holds a point, along each axis on its own."""
+    """Return the box of a point, for each axis independently."""
     points = np.array([[0.1, 0.1, 0.1], [0.9, 1.1, 2.9], [2.5, 0.5, 1.5]])
     found = boxes_of(points, np.zeros(3), 1.0, (3, 3, 3))
     np.testing.assert_array_equal(found, np.floor(points))
@@ -40,7 +40,7 @@ def test_points_lie_in_their_boxes():
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 1e3, 1e6, 1e9]))
 def test_no_point_falls_out_of_the_grid(seed: int, far: float):
-    """Keep every point in the grid, however coarsely numbers round so far from the origin."""
+    """Keep every point in the grid, even with coarse rounding far from the origin."""
     generator = np.random.default_rng(seed)
     points = (generator.uniform(-1.0, 1.0, (32, 3)) + far).astype(np.float32)
     counts = (4, 2, 3)

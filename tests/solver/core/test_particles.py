@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How passes are launched over particles."""
+"""Launching passes over particles."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from tactile_clay.solver.core.vector_units import BLOCK
 
 @wp.kernel(enable_backward=False)
 def mark_blocks(awake: Awake, marks: wp.array[int]) -> None:
-    """Count who comes to each block."""
+    """Count the threads of each block."""
     wp.atomic_add(marks, wp.tid(), 1)
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 384, 2048, 2100])
 @pytest.mark.parametrize("awake", [1.0, 0.4])
 def test_passes_by_block_run_no_block_too_many(count: int, awake: float):
-    """Run a thread for each block of a part, and none beyond: lists have no room for it."""
+    """Run one thread for each block of a part and no more, since lists have no room for more."""
     scene = Scene(0.005)
     scene.add_clay(np.random.default_rng(0).uniform(size=(count, 3)), Material())
     particles = Particles(scene, wp.get_device("cpu"))

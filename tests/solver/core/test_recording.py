@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recorded passes against the same passes launched one by one."""
+"""Recorded passes against the same passes launched individually."""
 
 from collections.abc import Callable, Hashable
 
@@ -15,7 +15,7 @@ SPACING = 0.005
 
 
 def scatter() -> np.ndarray:
-    """Throw three blocks apart past a moving ball: cells and substeps change all the time."""
+    """Throw three blocks apart past a moving ball, so that cells and substeps keep changing."""
     scene = Scene(SPACING)
     for shift, speed in ((-0.02, -1.5), (0.0, 0.0), (0.02, 1.5)):
         clay = block(3, SPACING, (shift, 0.0, 0.002))
@@ -32,7 +32,7 @@ def scatter() -> np.ndarray:
 
 
 def test_replayed_passes_give_the_bits_of_launched_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give the same bits whether passes are replayed or launched, also when arrays are remade."""
+    """Yield the same bits whether passes are replayed or launched, even if arrays are replaced."""
     replayed = scatter()
 
     def launch_plainly(self: Recordings, key: Hashable, launch: Callable[[], None]) -> None:
@@ -43,7 +43,7 @@ def test_replayed_passes_give_the_bits_of_launched_ones(monkeypatch: pytest.Monk
 
 
 def test_two_threads_give_the_bits_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give the same bits whether one thread works or two, through trials of both."""
+    """Yield the same bits with one thread and two, through trials of both."""
     results = []
     for threads in (1, 2):
         monkeypatch.setattr(recording, "processor_count", lambda count=threads: count)

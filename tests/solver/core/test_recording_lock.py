@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the lock of recordings protects."""
+"""What the recording lock protects against."""
 
 import threading
 
@@ -28,7 +28,7 @@ def counter() -> wp.array:
 
 
 def test_a_capture_is_in_force_on_all_threads() -> None:
-    """See another thread's capture: where Warp does not do that any more, the lock can go."""
+    """See another thread's capture; once Warp no longer does that, the lock can go."""
     seen = []
     values = counter()
     wp.launch(add_one, dim=SIZE, inputs=[values], device="cpu")
@@ -41,7 +41,7 @@ def test_a_capture_is_in_force_on_all_threads() -> None:
 
 
 def test_threads_that_hold_the_lock_work_beside_recordings() -> None:
-    """Launch and allocate on one thread while another records, and get all of both right."""
+    """Launch and allocate on one thread while another records, with correct results on both."""
     scene = Scene(0.005)
     scene.add_clay(block(2, 0.005), Material())
     recordings = Recordings(Solver(scene)._particles, by_part=False)

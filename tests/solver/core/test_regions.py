@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay that sleeps by regions, and what wakes it."""
+"""Regions of clay that sleep, and what wakes them."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SLAB = (48, 24, 8)
 
 
 def slab(settings: Settings | None = None) -> tuple[Solver, Plane, MeshCollider]:
-    """A slab on a table that came to rest, a ball above one end of it."""
+    """A slab at rest on a table, with a ball above one end."""
     scene = Scene(SPACING)
     scene.add_clay(block(SLAB, SPACING), Material())
     table = scene.add_plane()
@@ -28,7 +28,7 @@ def slab(settings: Settings | None = None) -> tuple[Solver, Plane, MeshCollider]
 
 
 def poke(solver: Solver, tool: MeshCollider) -> list[int]:
-    """Poke one end and take the ball away; tell how many were awake after each step."""
+    """Poke one end and take the ball away; return how many were awake after each step."""
     awake = []
     for height in (*np.linspace(0.054, 0.044, 10), *np.linspace(0.046, 0.08, 10)):
         tool.set_pose(at(0.09, 0, height))
@@ -43,7 +43,7 @@ def weight(solver: Solver) -> float:
 
 @pytest.fixture(scope="module")
 def poked() -> tuple[Solver, list[int], np.ndarray]:
-    """A poked slab, come to rest again: how many were awake, and the slab before."""
+    """A poked slab at rest again, how many were awake, and the slab before."""
     solver, _, tool = slab()
     before = solver.positions()
     awake = [solver.diagnostics().awake, *poke(solver, tool)]
@@ -54,7 +54,7 @@ def poked() -> tuple[Solver, list[int], np.ndarray]:
 
 
 def test_clay_at_rest_sleeps_and_weighs_the_same():
-    """Sleep when at rest, and lie on the table with the whole weight, for as long as you like."""
+    """Sleep when at rest, and keep pressing on the table with the whole weight."""
     solver, table, _ = slab()
     assert solver.diagnostics().awake == 0
     before = solver.positions()
@@ -77,7 +77,7 @@ def test_a_poke_wakes_only_its_surroundings(poked: tuple[Solver, list[int], np.n
 
 
 def test_a_dent_is_the_same_beside_sleeping_clay(poked: tuple[Solver, list[int], np.ndarray]):
-    """Leave the dent that clay wholly awake would take, without a seam."""
+    """Leave the same dent as in clay that is awake throughout, without a seam."""
     solver, _, before = poked
     awake, _, tool = slab(Settings(sleeping=False))
     start = awake.positions()
@@ -91,8 +91,8 @@ def test_a_dent_is_the_same_beside_sleeping_clay(poked: tuple[Solver, list[int],
 
 
 @pytest.mark.parametrize("count", [5, 14])
-def test_clay_wakes_when_what_holds_it_goes(count: int):
-    """Fall within a frame of when the support under sleeping clay is taken away, all of it."""
+def test_clay_wakes_when_its_support_is_removed(count: int):
+    """Let all clay fall within a frame after the support of sleeping clay is removed."""
     scene = Scene(SPACING)
     scene.add_clay(block(count, SPACING, (0, 0, 0.1)), Material())
     plate = trimesh.creation.box((0.2, 0.2, 0.02))
@@ -114,7 +114,7 @@ def test_clay_wakes_when_what_holds_it_goes(count: int):
 
 
 def test_floating_clay_wakes_when_it_is_pushed():
-    """Move all of a sleeping block in weightlessness when its end is pushed, not dent it alone."""
+    """Move the whole of a sleeping weightless block when its end is pushed, not just dent it."""
     scene = Scene(SPACING, gravity=(0.0, 0.0, 0.0))
     scene.add_clay(block((20, 5, 5), SPACING), Material())
     plate = trimesh.creation.box((0.02, 0.1, 0.1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What counts as a closed mesh."""
+"""Checking and cleaning up closed meshes."""
 
 import numpy as np
 import pytest
@@ -12,21 +12,21 @@ from tactile_clay.solver.geometry.closed_mesh import closed_mesh, mesh_volume
 
 
 def test_closed_box_passes_and_keeps_its_volume():
-    """Hand back a box with its volume."""
+    """Return a box with its volume unchanged."""
     box = trimesh.creation.box((1.0, 2.0, 3.0))
     vertices, faces = check_closed_mesh(box.vertices, box.faces)
     assert mesh_volume(vertices, faces) == pytest.approx(6.0)
 
 
 def test_inverted_mesh_is_turned_outside():
-    """Turn a mesh that is consistently inside out."""
+    """Flip a mesh that is consistently inside out."""
     box = trimesh.creation.box()
     vertices, faces = check_closed_mesh(box.vertices, box.faces[:, ::-1])
     assert mesh_volume(vertices, faces) == pytest.approx(1.0)
 
 
 def test_seams_are_welded():
-    """Take vertices at the same place for one, as files with split normals have them."""
+    """Merge vertices at the same position, which split normals duplicate."""
     box = trimesh.creation.box()
     split = box.vertices[box.faces].reshape(-1, 3)
     vertices, faces = check_closed_mesh(split, np.arange(len(split)).reshape(-1, 3))
@@ -51,7 +51,7 @@ def test_open_mesh_is_refused_with_its_hole_count(removed: set[int]):
 
 
 def test_mixed_winding_is_refused():
-    """Refuse a mesh with one face turned, and say to recalculate normals."""
+    """Refuse a mesh with one flipped face, and advise recalculating normals."""
     faces = trimesh.creation.box().faces.copy()
     faces[0] = faces[0, ::-1]
     with pytest.raises(MeshError, match="normals"):
@@ -66,20 +66,20 @@ def test_flat_mesh_is_refused():
 
 
 def test_bad_numbers_are_refused():
-    """Refuse NaN vertices, faces out of range, and nothing at all."""
+    """Refuse NaN vertices, faces out of range, and an empty mesh."""
     box = trimesh.creation.box()
     vertices = np.array(box.vertices)
     vertices[3, 1] = np.nan
     with pytest.raises(MeshError, match="1 vertices that are not finite"):
         check_closed_mesh(vertices, box.faces)
-    with pytest.raises(MeshError, match="not there"):
+    with pytest.raises(MeshError, match="does not exist"):
         check_closed_mesh(box.vertices, box.faces + 1)
     with pytest.raises(MeshError, match="no faces"):
         check_closed_mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
 
 
 def _solids() -> list[trimesh.Trimesh]:
-    """Bodies of several shapes, a ball, a box, a ring and a rod, side by side."""
+    """A ball, a box, a ring and a rod side by side."""
     shapes = [
         trimesh.creation.icosphere(subdivisions=3, radius=0.03),
         trimesh.creation.box((0.06, 0.05, 0.04)),
@@ -99,7 +99,7 @@ any_turn = st.tuples(st.floats(0, 6.3), st.floats(-1, 1), st.floats(-1, 1), st.f
 def test_each_body_is_turned_by_itself(
     inverted: set[int], order: list[int], turn: tuple[float, ...]
 ):
-    """Give all bodies their volume whichever of them are inside out, and say how many were."""
+    """Orient every body outward whichever are inside out, and report how many were."""
     parts = _solids()
     for index in inverted:
         parts[index].invert()
@@ -115,8 +115,8 @@ def test_each_body_is_turned_by_itself(
 
 @given(inverted=st.booleans(), radius=st.floats(0.2, 0.9))
 @settings(max_examples=20, deadline=None)
-def test_shell_the_other_way_round_within_a_body_is_a_cavity(inverted: bool, radius: float):
-    """Keep a hollow hollow, also where the whole mesh is inside out."""
+def test_shell_wound_the_opposite_way_within_a_body_is_a_cavity(inverted: bool, radius: float):
+    """Keep a hollow body hollow, even if the whole mesh is inside out."""
     outer = trimesh.creation.icosphere()
     inner = trimesh.creation.icosphere(radius=radius)
     inner.invert()
@@ -129,14 +129,14 @@ def test_shell_the_other_way_round_within_a_body_is_a_cavity(inverted: bool, rad
 
 @pytest.mark.parametrize("inverted", [False, True])
 def test_same_shell_twice_counts_once(inverted: bool):
-    """Leave the second copy out, whichever way it is wound, and say so."""
+    """Remove the second copy, whichever way it is wound, and report it."""
     one, two = trimesh.creation.icosphere(), trimesh.creation.icosphere()
     if inverted:
         two.invert()
     both = trimesh.util.concatenate([one, two])
     mesh = closed_mesh(both.vertices, both.faces)
     assert mesh_volume(mesh.vertices, mesh.faces) == pytest.approx(one.volume)
-    assert mesh.notes == ("1,280 doubled faces left out.",)
+    assert mesh.notes == ("1,280 duplicate faces removed.",)
 
 
 @pytest.mark.parametrize(
@@ -144,10 +144,10 @@ def test_same_shell_twice_counts_once(inverted: bool):
 )
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("welded", [False, True])
-def test_bodies_that_touch_are_both_there(
+def test_bodies_that_touch_are_both_kept(
     offset: tuple[int, int, int], inverted: bool, welded: bool
 ):
-    """Take boxes that share a wall, an edge or a corner for two, whichever way each is wound."""
+    """Keep two boxes that share a wall, an edge or a corner, whichever way each is wound."""
     one = trimesh.creation.box()
     two = one.copy().apply_translation(offset)
     if inverted:
@@ -156,7 +156,7 @@ def test_bodies_that_touch_are_both_there(
     if welded:
         both.merge_vertices()
     if welded and inverted and offset == (1, 0, 0):
-        # A wall that is one says nothing of which way its two sides were wound.
+        # A single wall does not tell which way its two sides were wound.
         return
     vertices, faces = check_closed_mesh(both.vertices, both.faces)
     assert mesh_volume(vertices, faces) == pytest.approx(2.0)
@@ -169,7 +169,7 @@ def test_bodies_that_touch_are_both_there(
 def test_nearly_welded_seams_are_welded(
     noise: float, scale: float, seed: int, turn: tuple[float, ...]
 ):
-    """Close a mesh in which every face has corners of its own, a millionth of its size apart."""
+    """Close a mesh whose faces all have their own corners, a millionth of its size apart."""
     ball = trimesh.creation.icosphere(subdivisions=3)
     ball.apply_transform(trimesh.transformations.rotation_matrix(turn[0], turn[1:]))
     corners = ball.vertices[ball.faces].reshape(-1, 3)
@@ -184,16 +184,16 @@ def test_nearly_welded_seams_are_welded(
 @given(distance=st.floats(0.1, 1e7))
 @settings(max_examples=10, deadline=None)
 def test_loose_vertices_change_nothing(distance: float):
-    """Leave vertices without faces out, however far away they are, and say so."""
+    """Remove vertices without faces, however far away they are, and report it."""
     box = trimesh.creation.box()
     vertices = np.concatenate([[(distance, 0.0, 0.0)], box.vertices, [(0.0, distance, 0.0)]])
     mesh = closed_mesh(vertices, box.faces + 1)
     assert len(mesh.vertices) == 8
-    assert mesh.notes == ("2 vertices without faces left out.",)
+    assert mesh.notes == ("2 vertices without faces removed.",)
 
 
-def test_flat_parts_are_left_out_of_a_mesh_with_bodies():
-    """Keep the body where a flat closed part lies beside it."""
+def test_flat_parts_are_removed_from_a_mesh_with_bodies():
+    """Keep the body, and remove a flat closed part beside it."""
     flat = trimesh.creation.icosphere(subdivisions=2)
     flat.vertices *= (1.0, 1.0, 1e-12)
     flat.apply_translation((5.0, 0.0, 0.0))
@@ -203,8 +203,8 @@ def test_flat_parts_are_left_out_of_a_mesh_with_bodies():
     assert any("flat part" in note for note in mesh.notes)
 
 
-def test_faces_are_known_by_those_that_were_given():
-    """Tell for each face where it came from and whether it was turned."""
+def test_faces_are_traced_to_the_original_mesh():
+    """Return each face's index in the original mesh, and whether it was flipped."""
     box, ball = trimesh.creation.box(), trimesh.creation.icosphere().apply_translation((5, 0, 0))
     ball.invert()
     both = trimesh.util.concatenate([box, ball])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lines through closed meshes."""
+"""Crossings of vertical lines with closed meshes."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ AXIS = np.linspace(-1.5, 1.5, 31)
 def test_lines_are_inside_where_the_mesh_winds_around_them(
     turn: float, axis: tuple[float, float, float], shape: str
 ):
-    """Agree with the winding number at heights along every line."""
+    """Agree with the winding number at points along every line."""
     mesh = {
         "ring": lambda: trimesh.creation.torus(0.9, 0.3),
         "box": lambda: trimesh.creation.box((1.61, 1.23, 0.8)),
@@ -39,7 +39,7 @@ def test_lines_are_inside_where_the_mesh_winds_around_them(
     assert length.sum() * 0.1**2 == pytest.approx(mesh.volume, rel=0.12)
 
 
-def test_lines_through_corners_and_edges_are_right():
+def test_lines_through_corners_and_edges_cross_once():
     """Cross a box whose corners, sides and diagonals all lie on lines."""
     box = trimesh.creation.box((2.0, 2.0, 2.0))
     axis = np.linspace(-2.0, 2.0, 17)
@@ -52,7 +52,7 @@ def test_lines_through_corners_and_edges_are_right():
 @given(offset=st.floats(0.0, 2.5), third=st.booleans())
 @settings(max_examples=25, deadline=None)
 def test_overlap_counts_once(offset: float, third: bool):
-    """Give boxes that overlap the volume of what they fill together."""
+    """Return the volume of the union of overlapping boxes."""
     parts = [trimesh.creation.box(), trimesh.creation.box().apply_translation((offset, 0, 0))]
     if third:
         parts.append(trimesh.creation.box((0.5, 0.5, 0.5)))

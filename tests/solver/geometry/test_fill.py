@@ -25,7 +25,7 @@ def test_box_becomes_its_lattice():
 )
 @settings(max_examples=20, deadline=None)
 def test_concave_mesh_is_filled_to_one_percent(minor: float, turn: float, spacing: float):
-    """Fill a turned ring to 1 % of its volume, all points inside and apart."""
+    """Fill a rotated ring to 1 % of its volume, with all points inside."""
     ring = trimesh.creation.torus(0.02, minor)
     turned = trimesh.transformations.rotation_matrix(turn, (1.0, 0.5, 0.2))
     ring.apply_transform(turned)
@@ -37,7 +37,7 @@ def test_concave_mesh_is_filled_to_one_percent(minor: float, turn: float, spacin
 
 
 def test_several_bodies_are_filled_each():
-    """Fill two separate balls in one mesh, the same number in each."""
+    """Fill two separate balls in one mesh with the same number of particles."""
     one = trimesh.creation.icosphere(radius=0.01)
     two = one.copy().apply_translation((0.05, 0, 0))
     both = trimesh.util.concatenate([one, two])
@@ -48,7 +48,7 @@ def test_several_bodies_are_filled_each():
 
 
 def test_bodies_that_overlap_are_filled_once():
-    """Count the overlap of two boxes in one mesh once, and stay inside them or half beside."""
+    """Count the overlap of two boxes in one mesh once, and stay within half a particle of them."""
     box = trimesh.creation.box((0.04, 0.04, 0.04))
     both = trimesh.util.concatenate([box, box.copy().apply_translation((0.02, 0, 0))])
     points = fill_mesh(both.vertices, both.faces, 0.004)
@@ -59,7 +59,7 @@ def test_bodies_that_overlap_are_filled_once():
 
 
 def test_cavity_stays_empty():
-    """Leave the hollow of a shell hollow."""
+    """Leave the cavity of a hollow ball empty."""
     shell = trimesh.util.concatenate(
         [trimesh.creation.icosphere(radius=0.02), trimesh.creation.icosphere(radius=0.01)]
     )
@@ -72,7 +72,7 @@ def test_cavity_stays_empty():
 
 
 def test_filling_is_the_same_every_time_and_anywhere():
-    """Give the same points again, and moved points for a moved mesh."""
+    """Return the same points again, and as many for a moved mesh."""
     ball = trimesh.creation.icosphere(radius=0.02)
     points = fill_mesh(ball.vertices, ball.faces, 0.003)
     again = fill_mesh(ball.vertices, ball.faces, 0.003)
@@ -82,7 +82,7 @@ def test_filling_is_the_same_every_time_and_anywhere():
 
 
 def test_too_small_and_too_large_are_refused_with_advice():
-    """Suggest a spacing where nothing fits, and ask about units where too much would."""
+    """Suggest a spacing if nothing fits, and ask about units if far too much would."""
     ball = trimesh.creation.icosphere(radius=0.001)
     with pytest.raises(MeshError, match="too small"):
         fill_mesh(ball.vertices, ball.faces, 0.005)
@@ -99,7 +99,7 @@ def test_too_small_and_too_large_are_refused_with_advice():
 def test_volume_is_right_wherever_a_mesh_lies(
     shift: tuple[float, float, float], far: float, turn: float
 ):
-    """Hold the volume to half a particle at any place and angle, up to 100 m away."""
+    """Reproduce the volume to half a particle at any position and angle, up to 100 m away."""
     shape = trimesh.creation.box((0.031, 0.043, 0.027))
     shape.apply_transform(trimesh.transformations.rotation_matrix(turn, (0.3, 1.0, 0.2)))
     shape.apply_translation(np.array(shift) + far)
@@ -108,7 +108,7 @@ def test_volume_is_right_wherever_a_mesh_lies(
 
 
 def test_bodies_far_apart_cost_no_more_than_near_ones():
-    """Fill two balls a kilometer apart with what each needs."""
+    """Fill two balls a kilometer apart without filling the space between."""
     one = trimesh.creation.icosphere(radius=0.02)
     both = trimesh.util.concatenate([one, one.copy().apply_translation((1000.0, 700.0, 0))])
     points = fill_mesh(both.vertices, both.faces, 0.004)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The lattice: alike tetrahedra that cover what they are to cover once, and points in them."""
+"""Lattices of equal tetrahedra that cover cells exactly once, and points in tetrahedra."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ CELLS = arrays(np.bool_, st.tuples(*[st.integers(1, 4)] * 3))
 @settings(max_examples=30, deadline=None)
 @given(CELLS, st.floats(1e-3, 10.0), st.integers(0, 2**32 - 1))
 def test_cells_are_covered_once(cells: np.ndarray, cell: float, seed: int) -> None:
-    """Hold each point of a marked cell in exactly one tetrahedron, all of a twelfth of a cell."""
+    """Cover each point of a marked cell by exactly one tetrahedron, a twelfth of a cell each."""
     low = np.array([1.0, -2.0, 0.5])
     lattice = lattice_tetrahedra(low, cells, cell)
     volumes = tetrahedron_volumes(lattice.points, lattice.corners)
@@ -42,7 +42,7 @@ def test_cells_are_covered_once(cells: np.ndarray, cell: float, seed: int) -> No
 
 
 def test_tetrahedra_of_the_lattice_are_nearly_regular() -> None:
-    """Give dihedral angles of 60 and 90 degrees only."""
+    """Have dihedral angles of 60 and 90 degrees only."""
     lattice = lattice_tetrahedra(np.zeros(3), np.ones((2, 2, 2), bool), 0.1)
     place = lattice.points[lattice.corners]
     angles = []
@@ -58,8 +58,8 @@ def test_tetrahedra_of_the_lattice_are_nearly_regular() -> None:
     assert tetrahedron_qualities(lattice.points, lattice.corners).min() > 0.95
 
 
-def test_quality_tells_regular_flat_and_inverted() -> None:
-    """Give 1 for a regular tetrahedron, 0 for a flat one and less for one turned inside out."""
+def test_quality_distinguishes_regular_flat_and_inverted() -> None:
+    """Return 1 for a regular tetrahedron, 0 for a flat one and less for an inverted one."""
     regular = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]])
     flat = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     points = np.concatenate([regular, flat])
@@ -75,7 +75,7 @@ def test_quality_tells_regular_flat_and_inverted() -> None:
     arrays(np.float64, 3, elements=st.floats(-3.0, 3.0)),
 )
 def test_weights_give_the_point_back(corners: np.ndarray, point: np.ndarray) -> None:
-    """Carry a point to where it is, inside of the tetrahedron or outside."""
+    """Reproduce a point from its weights, inside the tetrahedron or outside."""
     if abs(np.linalg.det(corners[1:] - corners[0])) < 1e-3:
         return
     (weights,) = barycentric_weights(point[None], corners[None])
@@ -84,7 +84,7 @@ def test_weights_give_the_point_back(corners: np.ndarray, point: np.ndarray) -> 
 
 
 def test_points_are_carried_by_their_own_group() -> None:
-    """Prefer the first group, take the second where the first is not there, and no other."""
+    """Prefer the first group, fall back to the second, and use no other."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     points = np.concatenate([corners, corners, corners + 5.0])
     tetrahedra = Tetrahedra(points, np.arange(12, dtype=np.int32).reshape(3, 4))
@@ -96,7 +96,7 @@ def test_points_are_carried_by_their_own_group() -> None:
     )
     np.testing.assert_array_equal(carrier, [0, 1, -1, 1, 2])
     assert outside[0] == 0.0
-    # A little outside of the tetrahedron, and too far outside.
+    # A little outside the tetrahedron, and too far outside.
     carrier, outside = carriers(
         np.array([[-0.05, 0.2, 0.2], [-0.3, 0.2, 0.2]]), tetrahedra, groups, wanted[:2], 0.1
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rotations: known turns, and back and forth between their two forms."""
+"""Rotations: known cases, and conversions back and forth."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ vectors = (
 
 
 def test_quarter_turn_about_z() -> None:
-    """Turn X to Y."""
+    """Rotate X to Y."""
     matrix = matrices_from_quaternions([0.0, 0.0, HALF, HALF])
     assert np.allclose(matrix @ [1, 0, 0], [0, 1, 0])
 
@@ -58,7 +58,7 @@ def test_forms_agree(first, second) -> None:
 
 @given(quaternions)
 def test_quaternion_of_any_rotation(quaternion) -> None:
-    """Find the quaternion of a matrix that others made, up to its sign, with w >= 0."""
+    """Find the quaternion of a matrix made by trimesh, up to its sign, with w >= 0."""
     matrix = trimesh.transformations.quaternion_matrix(np.roll(quaternion, 1))[:3, :3]
     found = quaternions_from_matrices(matrix)
     assert abs(float(found @ quaternion)) == pytest.approx(1.0, abs=1e-6)
@@ -66,7 +66,7 @@ def test_quaternion_of_any_rotation(quaternion) -> None:
 
 
 def test_any_number_of_leading_dimensions() -> None:
-    """Turn an array of rotations from one form to another, as each alone."""
+    """Convert an array of rotations from one form to another, like each one alone."""
     many = np.random.default_rng(1).normal(size=(2, 3, 4))
     many /= np.linalg.norm(many, axis=-1, keepdims=True)
     matrices = matrices_from_quaternions(many)
@@ -83,7 +83,7 @@ def test_any_number_of_leading_dimensions() -> None:
 
 @given(vectors, st.floats(0.0, 3.1))
 def test_rotation_vector_is_axis_times_angle(axis, angle) -> None:
-    """Turn about the axis by the angle, and find both again."""
+    """Rotate about the axis by the angle, and recover both."""
     matrix = matrices_from_rotation_vectors(axis * angle)
     expected = trimesh.transformations.rotation_matrix(angle, axis)[:3, :3]
     assert np.allclose(matrix, expected)
@@ -91,27 +91,27 @@ def test_rotation_vector_is_axis_times_angle(axis, angle) -> None:
 
 
 def test_no_turn_and_half_a_turn_have_rotation_vectors() -> None:
-    """Give zero for the identity, and pi about the axis for half a turn."""
+    """Return zero for the identity, and pi about the axis for half a turn."""
     assert np.array_equal(rotation_vectors_from_matrices(np.eye(3)), np.zeros(3))
     half = rotation_vectors_from_matrices(np.diag((-1.0, 1.0, -1.0)))
     assert np.allclose(np.abs(half), (0.0, np.pi, 0.0))
 
 
 @given(quaternions, quaternions, st.floats(0.0, 3.2))
-def test_turning_towards_a_rotation_stops_at_an_angle(first, second, most) -> None:
-    """Turn by the given angle at most, the short way, and arrive where it is enough."""
+def test_turning_towards_a_rotation_stops_at_an_angle(first, second, max_angle) -> None:
+    """Turn by at most the given angle along the shorter arc, and arrive if that suffices."""
     start, target = matrices_from_quaternions([first, second])
     whole = float(angles_between(first, second))
     assume(whole < 3.1)
-    turned = turned_towards(start, target, most)
+    turned = turned_towards(start, target, max_angle)
     part = float(angles_between(first, quaternions_from_matrices(turned)))
-    assert part == pytest.approx(min(whole, most), abs=1e-6)
+    assert part == pytest.approx(min(whole, max_angle), abs=1e-6)
     rest = float(angles_between(second, quaternions_from_matrices(turned)))
     assert part + rest == pytest.approx(whole, abs=1e-6)
 
 
 def test_half_a_turn_goes_about_the_handle() -> None:
-    """Turn a tool about its own Z where its target is opposite."""
+    """Turn a tool about its own Z if its target is opposite."""
     turned = turned_towards(np.eye(3), np.diag((-1.0, -1.0, 1.0)), 0.5)
     assert np.allclose(turned, matrices_from_rotation_vectors((0.0, 0.0, 0.5)))
 
@@ -128,7 +128,7 @@ def test_polar_decomposition_puts_mirrors_into_the_stretch() -> None:
 
 @given(vectors, vectors)
 def test_frames_stand_on_the_normal(normal, tangent) -> None:
-    """Make a rotation whose Z is the normal and whose Y leans towards the tangent."""
+    """Return a rotation with the normal as Z, and Y leaning towards the tangent."""
     assume(abs(normal @ tangent) < 0.999)
     frame = frame_of(normal, tangent)
     assert np.allclose(frame.T @ frame, np.eye(3), atol=1e-9)
@@ -138,24 +138,24 @@ def test_frames_stand_on_the_normal(normal, tangent) -> None:
     assert np.allclose(tangent_of(tangent, normal, tangent), frame[:, 1])
 
 
-def test_a_direction_along_the_normal_gives_way_to_the_fallback() -> None:
-    """Take the fallback where a direction has no part across the normal."""
+def test_a_direction_along_the_normal_is_replaced_by_the_fallback() -> None:
+    """Use the fallback if a direction has no component perpendicular to the normal."""
     up, along = np.array((0.0, 0.0, 1.0)), np.array((0.0, 2.0, 3.0))
     assert np.allclose(tangent_of(up, up, along), (0.0, 1.0, 0.0))
 
 
 @given(quaternions, quaternions, st.floats(0.0, 1.0))
-def test_slerp_goes_the_short_way_at_even_speed(first, second, share) -> None:
-    """Turn by its share of the whole angle."""
+def test_slerp_goes_the_short_way_at_even_speed(first, second, fraction) -> None:
+    """Turn by a fraction of the whole angle."""
     whole = angles_between(first, second)
-    part = slerp(first, second, share)
-    assert angles_between(first, part) == pytest.approx(share * whole, abs=1e-5)
+    part = slerp(first, second, fraction)
+    assert angles_between(first, part) == pytest.approx(fraction * whole, abs=1e-5)
     assert np.linalg.norm(part) == pytest.approx(1.0)
 
 
 @given(vectors, vectors)
 def test_shortest_turn_turns_no_more_than_it_must(start, end) -> None:
-    """Lay one vector on the other by the angle between them."""
+    """Rotate one vector onto the other by the angle between them."""
     turn = shortest_turn(start, end)
     assert np.allclose(turn @ start, end, atol=2e-3)
     assert np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
@@ -165,7 +165,7 @@ def test_shortest_turn_turns_no_more_than_it_must(start, end) -> None:
 
 @given(quaternions)
 def test_fitted_rotation_finds_a_rotation_and_no_mirror(quaternion) -> None:
-    """Find the turn between two sets of points, also where a mirror would fit as well."""
+    """Find the rotation between two sets of points, even if a reflection would fit as well."""
     flat = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 1, 0]], float)
     turn = matrices_from_quaternions(quaternion)
     found = fitted_rotation(flat, flat @ turn.T + [3.0, 2.0, 1.0])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where points lie against a skin."""
+"""Depth of points below a skin, and the nearest points on it."""
 
 import numpy as np
 import trimesh
@@ -8,7 +8,7 @@ from tactile_clay.solver.geometry.skin_query import SkinQuery
 
 
 def test_depth_and_nearest_corner_of_a_box() -> None:
-    """Measure depths inside and outside of a box, and name the nearest corner."""
+    """Measure depths inside and outside a box, and find the nearest corner."""
     box = trimesh.creation.box((2.0, 2.0, 2.0))
     found = SkinQuery(box.vertices, box.faces.astype(np.int32)).nearest(
         np.array([[0.5, 0.1, 0.0], [2.0, 0.0, 0.0], [2.0, 2.0, 2.0], [0.9, 0.9, 0.95]])
@@ -20,7 +20,7 @@ def test_depth_and_nearest_corner_of_a_box() -> None:
 
 
 def test_far_from_the_origin_depths_stay_exact() -> None:
-    """Keep micrometers for a hand that stands a kilometer from the origin."""
+    """Keep micrometer precision for a hand a kilometer from the origin."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.01)
     offset = np.array([1000.0, -500.0, 20.0])
     query = SkinQuery(ball.vertices + offset, ball.faces.astype(np.int32))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Walls that are thin."""
+"""Thin walls of closed meshes."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def _turned(mesh: trimesh.Trimesh, turn: tuple[float, ...]) -> trimesh.Trimesh:
 @given(thickness=st.floats(0.05, 0.85), turn=turns)
 @settings(max_examples=20, deadline=None)
 def test_sheet_is_refused_with_its_thickness(thickness: float, turn: tuple[float, ...]):
-    """Name how thick a sheet is, and a spacing that fills it."""
+    """Report the thickness of a sheet, and a spacing that fills it."""
     spacing = 0.005
     sheet = _turned(trimesh.creation.box((0.1, 0.08, thickness * spacing)), turn)
     with pytest.raises(ThinWallsError, match="Use a spacing of at most") as caught:
@@ -34,7 +34,7 @@ def test_sheet_is_refused_with_its_thickness(thickness: float, turn: tuple[float
 @given(thickness=st.floats(0.05, 0.8), turn=turns)
 @settings(max_examples=10, deadline=None)
 def test_layer_follows_the_sheet(thickness: float, turn: tuple[float, ...]):
-    """Cover all of a sheet with one layer in its middle, a particle in each spacing²."""
+    """Cover a whole sheet with one layer in its middle, one particle per spacing²."""
     spacing = 0.005
     matrix = trimesh.transformations.rotation_matrix(turn[0], turn[1:])
     sheet = trimesh.creation.box((0.1, 0.08, thickness * spacing)).apply_transform(matrix)
@@ -48,8 +48,8 @@ def test_layer_follows_the_sheet(thickness: float, turn: tuple[float, ...]):
     assert any("One layer" in note for note in filled.notes)
 
 
-def test_thin_part_of_a_thick_thing_is_told_and_can_be_followed():
-    """Say how much of a box with a thin disc beside it is thin; follow the disc if wanted."""
+def test_thin_part_of_a_thick_mesh_is_reported_and_can_be_followed():
+    """Report how much of a box with a thin disc is thin; follow the disc on request."""
     disc = trimesh.creation.cylinder(0.06, 0.001, sections=64).apply_translation((0.2, 0, 0))
     both = trimesh.util.concatenate([trimesh.creation.box((0.15, 0.1, 0.1)), disc])
     mesh = closed_mesh(both.vertices, both.faces)
@@ -62,8 +62,8 @@ def test_thin_part_of_a_thick_thing_is_told_and_can_be_followed():
 
 @given(size=st.floats(2.0, 12.0), turn=turns)
 @settings(max_examples=15, deadline=None)
-def test_thick_things_are_filled_without_a_word(size: float, turn: tuple[float, ...]):
-    """Say nothing of boxes and balls of two spacings and more."""
+def test_thick_meshes_are_filled_without_notes(size: float, turn: tuple[float, ...]):
+    """Return no notes for boxes and balls of two spacings and more."""
     spacing = 0.005
     for shape in (
         trimesh.creation.box((size * spacing,) * 3),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's distance constraints: when they come and go, and what they do."""
+"""The paper's distance constraints: when they form and break, and what they do."""
 
 import numpy as np
 import pytest
@@ -39,14 +39,14 @@ class Clay:
         self.bonds = BondConstraints(self.particles)
 
     def pass_time(self, rate: float, duration: float) -> None:
-        """Let the second of two particles move away at a strain rate [1/s] for a while."""
+        """Let the second of two particles move away at a strain rate [1/s], for a duration [s]."""
         gap = float(np.linalg.norm(np.diff(self.particles.position.numpy(), axis=0)))
         self.particles.velocity.assign(np.array([[0, 0, 0], [rate * gap, 0, 0]], np.float32))
         for _ in range(round(duration / STEP)):
             self.bonds.begin_substep(self.neighbors.rows, STEP)
 
     def rest_lengths(self) -> np.ndarray:
-        """Of the first particle's bonds [m]."""
+        """Rest lengths of the first particle's bonds [m]."""
         count = self.neighbors.rows.count.numpy()[0]
         lengths = self.neighbors.rows.rest_length.numpy()[0, :count]
         return lengths[lengths > 0]
@@ -72,7 +72,7 @@ BETWEEN = 0.5 * (ACTIVATION_RATE + DEACTIVATION_RATE)
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_state_has_hysteresis(sign: float):
-    """Bond below one rate, let go above another, and between them stay what one is."""
+    """Bond below one rate, release above another, and keep the state in between."""
     clay = pair()
     clay.pass_time(sign * BETWEEN, LONG)
     assert len(clay.rest_lengths()) == 0
@@ -85,7 +85,7 @@ def test_state_has_hysteresis(sign: float):
 
 
 def test_rest_length_is_the_distance_at_activation():
-    """Put no stress in: hold a pair as it lies, near or far."""
+    """Add no stress: hold a pair at its current distance."""
     for distance in (0.6, 1.0, 1.4):
         clay = pair(distance)
         clay.pass_time(0.0, LONG)
@@ -93,7 +93,7 @@ def test_rest_length_is_the_distance_at_activation():
 
 
 def test_brief_shock_cuts_nothing_and_brief_rest_bonds_nothing():
-    """Ask for a change of state for as long as the file says."""
+    """Change state only after the documented time."""
     clay = pair()
     clay.pass_time(0.0, 0.5 * ACTIVATION_TIME)
     clay.pass_time(BETWEEN, 2 * STEP)
@@ -108,7 +108,7 @@ def test_brief_shock_cuts_nothing_and_brief_rest_bonds_nothing():
 
 
 def test_far_pairs_do_not_bond_and_long_bonds_go():
-    """Reach no farther than a cell's diagonal, and let go of what is two spacings long."""
+    """Bond no farther than a lattice cell's diagonal, and release bonds two spacings long."""
     clay = pair(1.6)
     clay.pass_time(0.0, LONG)
     assert len(clay.rest_lengths()) == 0
@@ -121,7 +121,7 @@ def test_far_pairs_do_not_bond_and_long_bonds_go():
 
 
 def test_turning_does_not_cut():
-    """Look along the connecting segment only."""
+    """Consider only the rate along the connecting segment."""
     clay = pair()
     clay.pass_time(0.0, LONG)
     clay.particles.velocity.assign(np.array([[0, 0, 0], [0, 1.0, 0]], np.float32))
@@ -131,7 +131,7 @@ def test_turning_does_not_cut():
 
 
 def test_pair_is_projected_to_its_length():
-    """Solve a single bond at once, and share the way by the masses (eq. 2)."""
+    """Solve a single bond in one projection, split by mass (eq. 2)."""
     clay = Clay(np.array([[0.0, 0, 0], [SPACING, 0, 0]]), (1000.0, 3000.0))
     clay.bonds.activate_all(clay.neighbors.rows)
     after = clay.project(np.array([[0.0, 0, 0], [0.2 * SPACING, 0, 0]]))
@@ -140,7 +140,7 @@ def test_pair_is_projected_to_its_length():
 
 
 def test_block_finds_its_shape_and_keeps_momentum():
-    """Undo a stir of a whole block in 60 sweeps, without a push or a twist from nowhere."""
+    """Restore a perturbed block in 60 sweeps, without spurious linear or angular momentum."""
     points = block(5, SPACING)
     clay = Clay(points, (4000.0, 1000.0))
     clay.bonds.activate_all(clay.neighbors.rows)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's contact: ghost particles that repel to one side, and sliding anchors."""
+"""The paper's contact: one-sided ghost particles and sliding anchors."""
 
 import math
 
@@ -20,7 +20,7 @@ PAPER = Settings(model="paper")
 def grains_on(
     mesh: trimesh.Trimesh, points: np.ndarray, gravity: tuple[float, float, float] = (0, 0, -9.81)
 ) -> tuple:
-    """Particles too far apart to know of each other, and a mesh."""
+    """Particles too far apart to interact, and a mesh."""
     scene = Scene(SPACING, gravity)
     scene.add_clay(points, Material(friction=0.5))
     tool = scene.add_mesh(mesh.vertices, mesh.faces, friction=0.5)
@@ -28,7 +28,7 @@ def grains_on(
 
 
 def test_grains_rest_on_the_surface_wherever_they_land():
-    """Stop the fall of scattered grains at one radius above a box: no leaks and no dimples."""
+    """Stop falling grains at one radius above a box, without leaks or dimples."""
     box = trimesh.creation.box((0.12, 0.12, 0.02), transform=at(0, 0, -0.01))
     random = np.random.default_rng(0)
     grid = np.stack(np.meshgrid(*[np.arange(-3, 4) * 0.017] * 2), -1).reshape(-1, 2)
@@ -58,7 +58,7 @@ def test_grain_beside_an_edge_is_not_pushed_by_the_other_face():
 
 
 def test_grains_slide_down_a_side_from_the_rim():
-    """Fall along a face, pulled to it, from anywhere near its rim, with friction and no kick."""
+    """Slide down a face from anywhere near its rim, with friction and without a kick."""
     box = trimesh.creation.box((0.04, 0.4, 0.06), transform=at(0, 0, -0.03))
     heights = np.linspace(-1.5 * RADIUS, 0.0, 12)
     points = np.column_stack(
@@ -85,7 +85,7 @@ def test_grain_in_a_corner_touches_both_faces():
     assert solver.positions()[0] == pytest.approx(expected, abs=3e-5)
 
 
-def test_grain_inside_is_moved_out_along_the_surface_normal_and_not_shot():
+def test_grain_inside_is_moved_out_slowly_along_the_surface_normal():
     """Leave through the nearest face, no faster than allowed."""
     box = trimesh.creation.box((0.08, 0.06, 0.02), transform=at(0, 0, -0.01))
     start = np.array([[0.03, 0.01, -0.6 * RADIUS]])
@@ -98,7 +98,7 @@ def test_grain_inside_is_moved_out_along_the_surface_normal_and_not_shot():
     assert after[:2] == pytest.approx(start[0, :2], abs=1e-6)
 
 
-def test_moving_and_deforming_tool_takes_a_grain_along():
+def test_moving_and_deforming_tool_carries_a_grain():
     """Lift a grain with a pose and then with new vertices, by friction and by impenetrability."""
     box = trimesh.creation.box((0.04, 0.04, 0.02), transform=at(0, 0, -0.01))
     solver, tool = grains_on(box, np.array([[0.001, 0.002, RADIUS]]))
@@ -107,7 +107,7 @@ def test_moving_and_deforming_tool_takes_a_grain_along():
         tool.set_pose(at(0.001 * step, 0, 0.002 * step))
         solver.step(1 / 60)
     expected = np.array([0.025, 0.002, 0.048 + RADIUS])
-    # The grain slipped while the tool set off at once.
+    # The grain slipped when the tool started abruptly.
     assert solver.positions()[0] == pytest.approx(expected, abs=1.5e-3)
     assert solver.positions()[0, 2] == pytest.approx(expected[2], abs=1e-5)
     for step in range(1, 13):
@@ -118,7 +118,7 @@ def test_moving_and_deforming_tool_takes_a_grain_along():
 
 @pytest.mark.parametrize(("push", "slides"), [(0.48, False), (0.52, True)])
 def test_friction_has_a_cone(push: float, slides: bool):
-    """Hold a grain against a force along the surface below μ times the one across it."""
+    """Hold a grain while the tangential force is below μ times the normal force."""
     scene = Scene(SPACING, gravity=(push * GRAVITY, 0.0, -GRAVITY))
     scene.add_clay(np.array([[0.0, 0.0, RADIUS]]), Material(friction=0.5))
     plane = scene.add_plane(friction=0.5)
@@ -131,8 +131,8 @@ def test_friction_has_a_cone(push: float, slides: bool):
     assert solver.positions()[0, 0] == pytest.approx(distance, rel=0.02, abs=1e-6)
 
 
-def test_block_holds_on_an_incline_and_puts_its_weight_there():
-    """Stay where tan θ < μ, with m g cos θ across and m g sin θ along the plane."""
+def test_block_holds_on_an_incline_and_transmits_its_weight():
+    """Stay if tan θ < μ, with m g cos θ normal to and m g sin θ along the plane."""
     angle = math.radians(15)
     result = stand(angle, friction=0.6, counts=6, settings=PAPER)
     assert result.normal_force == pytest.approx(math.cos(angle), rel=2e-3)
@@ -140,8 +140,8 @@ def test_block_holds_on_an_incline_and_puts_its_weight_there():
     assert abs(result.slip) < 2e-6
 
 
-def test_block_slides_as_it_must():
-    """Slide with g (sin θ - μ cos θ) where tan θ > μ."""
+def test_block_slides_on_a_steep_incline():
+    """Slide with g (sin θ - μ cos θ) if tan θ > μ."""
     angle = math.radians(35)
     result = stand(angle, friction=0.6, counts=4, settings=PAPER)
     expected = GRAVITY * (math.sin(angle) - 0.6 * math.cos(angle))
@@ -149,7 +149,7 @@ def test_block_slides_as_it_must():
 
 
 def test_without_friction_everything_slides():
-    """Put no force along the plane when friction is switched off."""
+    """Exert no force along the plane when friction is switched off."""
     angle = math.radians(10)
     without = Settings(model="paper", friction=False)
     result = stand(angle, counts=4, duration=1.0, settings=without)

@@ -42,7 +42,7 @@ def project(points: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, n
 
 
 def test_kernel_sums_to_one_over_a_lattice():
-    """Find density 1 at a lattice's spacing, and no gradient."""
+    """Sum to density 1 and gradient 0 over a lattice."""
     steps = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), -1).reshape(-1, 3)
     total = sum(cubic_kernel(float(np.linalg.norm(s)), KERNEL_RADIUS) for s in steps)
     gradient = sum(np.array(cubic_gradient(wp.vec3(*map(float, s)), KERNEL_RADIUS)) for s in steps)
@@ -51,7 +51,7 @@ def test_kernel_sums_to_one_over_a_lattice():
 
 
 def test_kernel_integrates_to_one():
-    """Have the moment of order zero of a smoothing kernel."""
+    """Integrate to 1, as a smoothing kernel must."""
     radius = 1.7
     r = (np.arange(2000) + 0.5) * radius / 2000
     values = np.array([cubic_kernel(float(x), radius) for x in r])
@@ -60,7 +60,7 @@ def test_kernel_integrates_to_one():
 
 @pytest.mark.parametrize("distance", [0.2, 0.45, 0.55, 0.9])
 def test_gradient_is_that_of_the_kernel(distance: float):
-    """Agree with a difference quotient; the gradient points to the neighbor."""
+    """Agree with a finite difference; the gradient points to the neighbor."""
     step = 1e-3
     slope = (cubic_kernel(distance + step, 1.0) - cubic_kernel(distance - step, 1.0)) / (2 * step)
     gradient = np.array(cubic_gradient(wp.vec3(0.0, distance, 0.0), 1.0))
@@ -78,7 +78,7 @@ def test_stretched_clay_is_left_alone():
 
 
 def test_squeezed_clay_expands():
-    """Measure the compression of a squeezed lattice and push its surface outwards."""
+    """Measure the compression of a squeezed lattice, and push its surface outward."""
     points = block(7, SPACING)
     points -= points.mean(0)
     after, compression = project(0.95 * points, np.zeros_like(points))

@@ -16,7 +16,7 @@ PAPER = Settings(model="paper")
 
 
 def pressed_scene() -> tuple[Scene, list]:
-    """A block on a plane with a ball above it, and the ball's poses of six steps."""
+    """A block on a plane with a ball above it, and the ball's poses in six steps."""
     scene = Scene(SPACING)
     scene.add_clay(block((6, 6, 4), SPACING), Material())
     scene.add_plane()
@@ -66,7 +66,7 @@ def test_spin_is_damped_as_position_based_dynamics_damps_it():
 
 
 def test_snapshot_is_exact():
-    """Continue to the same bits in a new solver, in the middle of a press."""
+    """Continue in a new solver with the same bits, in the middle of a press."""
     scene, poses = pressed_scene()
     solver = Solver(scene, PAPER)
     for pose in poses[:3]:
@@ -88,7 +88,7 @@ def test_snapshot_is_exact():
 
 
 def test_tool_stays_outside_of_clay():
-    """Let a ball in only by rounding, and report a force that pushes it back."""
+    """Penetrate a ball only by rounding, and report a force that pushes it back."""
     scene, poses = pressed_scene()
     solver = Solver(scene, PAPER)
     for pose in poses:
@@ -97,7 +97,7 @@ def test_tool_stays_outside_of_clay():
     assert solver.diagnostics().max_penetration < 1e-3 * SPACING
     assert solver.force_on(scene.meshes[0])[2] > 0
     apart = np.linalg.norm(solver.positions() - poses[-1][:3, 3], axis=1)
-    # The mesh of the ball lies up to 3 % inside of it.
+    # The ball's mesh lies up to 3 % inside the sphere.
     assert apart.min() > 0.97 * 0.01 + 0.5 * SPACING
 
 
@@ -114,7 +114,7 @@ def test_few_particles_step(count: int):
 
 
 def test_particles_on_one_point_stay_finite_and_slow():
-    """Throw nothing about where clay lies in itself."""
+    """Do not fling particles apart where clay overlaps itself."""
     scene = Scene(SPACING, gravity=(0, 0, 0))
     points = np.random.default_rng(0).normal(0, 0.02 * SPACING, (40, 3))
     scene.add_clay(points, Material())
@@ -126,7 +126,7 @@ def test_particles_on_one_point_stay_finite_and_slow():
 
 
 def test_only_what_the_settings_keep_is_built():
-    """List no pass that is switched off."""
+    """List no pass that is turned off."""
     scene = Scene(SPACING)
     scene.add_clay(block(3, SPACING), Material())
     whole = Solver(scene, PAPER).describe()
@@ -139,7 +139,7 @@ def test_only_what_the_settings_keep_is_built():
 
 
 def test_substeps_default_to_what_the_model_needs():
-    """Give the paper's clay its eight substeps where none are asked for."""
+    """Default to eight substeps for the paper's clay."""
     assert Settings().substeps == 4
     assert PAPER.substeps == 8
     assert Settings(model="paper", substeps=3).substeps == 3

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The paper's strain-rate constraint with corotated finite differences."""
+"""The paper's strain-rate constraint in a corotated frame."""
 
 import numpy as np
 import warp as wp
@@ -38,13 +38,13 @@ def project(points: np.ndarray, displacement: np.ndarray, sweeps: int = 1) -> np
 
 
 def jittered_block() -> np.ndarray:
-    """Five particles a side, off their lattice [m]."""
+    """A block of five particles per side, jittered off the lattice [m], shape [125, 3]."""
     points = block(5, SPACING)
     return points + np.random.default_rng(0).normal(0, 0.05 * SPACING, points.shape)
 
 
 def test_rigid_motion_is_not_strain():
-    """Leave a block as it is that turned by a third of a radian and moved on."""
+    """Leave a block unchanged that was rotated by a third of a radian and translated."""
     points = jittered_block()
     displacement = turned(points, 0.33) - points + (0.001, -0.002, 0.003)
     after = project(points, displacement)
@@ -52,7 +52,7 @@ def test_rigid_motion_is_not_strain():
 
 
 def test_strain_is_seen_in_the_turned_frame():
-    """Correct a strain that comes with a rotation by the turned correction of the strain alone."""
+    """Correct strain with rotation by the rotated correction of the strain alone."""
     points = jittered_block()
     strained = points * (1.02, 0.99, 1.0)
     plain = project(points, strained - points) - (strained - points)
@@ -74,8 +74,8 @@ def test_projection_keeps_momentum():
     assert np.abs(torque).max() < 1e-5 * scale * SPACING * 5
 
 
-def test_shear_dies_out():
-    """Bring a block's shear down to a third in twenty sweeps, and its squeeze too."""
+def test_shear_decays():
+    """Reduce a block's shear, and its compression, to a third in twenty sweeps."""
     points = jittered_block()
     for gradient in (np.eye(3)[[2, 1, 0]] * [[1], [0], [0]], np.diag((0.0, 0.0, -1.0))):
         displacement = 0.02 * points @ gradient.T
@@ -86,7 +86,7 @@ def test_shear_dies_out():
 
 
 def test_lone_and_flat_clay_stays_finite():
-    """Have nothing to say to particles alone, in a pair or in a sheet that only turn or move."""
+    """Leave rotating single particles, pairs and sheets unchanged."""
     for points in (block((1, 1, 1), SPACING), block((2, 1, 1), SPACING), block((4, 4, 1), SPACING)):
         displacement = turned(points, 0.05) - points
         after = project(points, displacement)

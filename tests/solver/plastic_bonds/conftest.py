@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Clay in the middle of a press, from which passes are run."""
+"""Clay in the middle of a press, on which passes are tested."""
 
 import numpy as np
 import pytest

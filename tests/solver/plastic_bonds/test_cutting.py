@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bonds across a collider thinner than they are long."""
+"""Cutting of bonds across a collider thinner than they are long."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def across(model: PlasticBonds, ends: NDArray[np.int64]) -> NDArray[np.bool_]:
     return (side[:, 0] != side[:, 1]) & (position[:, :, 2] > LOWEST).all(1)
 
 
-def test_blade_cuts_the_bonds_that_it_parts(cut: PlasticBonds):
+def test_blade_cuts_the_bonds_across_it(cut: PlasticBonds):
     """Leave no bond across the blade, and all bonds below it and beside it."""
     ends = bonds(cut)
     assert not across(cut, ends).any()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The formulas of the clay's law, and that they stand in one place."""
+"""The formulas of the clay's law, and that they are written only once."""
 
 import re
 from pathlib import Path
@@ -28,7 +28,7 @@ def tabulate_kernel(
     slope: wp.array[float],
     hold: wp.array[float],
 ) -> None:
-    """Put the functions of a distance into tables."""
+    """Tabulate the functions of distance."""
     i = wp.tid()
     value[i] = formulas.kernel_value(shared, distance[i])
     slope[i] = formulas.kernel_slope(shared, distance[i])
@@ -52,7 +52,7 @@ def flow_bonds(
     share: float,
     bond: wp.array[wp.vec2],
 ) -> None:
-    """`flow_bond` at many distances, of particles that keep their volume."""
+    """`flow_bond` at many distances, for particles at constant volume."""
     i = wp.tid()
     bond[i] = formulas.flow_bond(shared, tension_stretch, rest, distance[i], 0.0, share, False)
 
@@ -65,19 +65,19 @@ def damp(
     rates: wp.array[float],
     damping: wp.array[float],
 ) -> None:
-    """`pair_damping` at many rates of shear."""
+    """`pair_damping` at many shear rates."""
     i = wp.tid()
     damping[i] = formulas.pair_damping(shared, own, squares, 0.0, rates[i])
 
 
 @pytest.fixture(scope="module")
 def shared() -> SharedLaw:
-    """What pairs share at the live setting."""
+    """The shared law at the live setting."""
     return law_data.make_shared_law(Settings(), SPACING, 1, STEP)
 
 
 def particle_law(material: Material) -> ParticleLaw:
-    """The values of a particle of a material."""
+    """The law of a particle of a material."""
     return law_data.make_particle_laws([material], Settings(), SPACING)[0]
 
 
@@ -87,7 +87,7 @@ def numbers(values: NDArray) -> wp.array:
 
 
 def test_slope_is_that_of_the_kernel(shared: SharedLaw):
-    """Let the density fall with distance as fast as the slope says."""
+    """Match the decrease of the density with distance."""
     distance = np.linspace(0.1, 2.4, 200) * SPACING
     value, slope, hold = (wp.zeros(len(distance), dtype=float, device="cpu") for _ in range(3))
     inputs = [shared, numbers(distance), value, slope, hold]
@@ -101,7 +101,7 @@ def test_slope_is_that_of_the_kernel(shared: SharedLaw):
 
 
 def test_lattice_at_rest_has_its_density(shared: SharedLaw):
-    """Sum the kernel over a lattice at rest to the density at rest."""
+    """Sum the kernel over a lattice at rest to the rest density."""
     axis = np.arange(-2, 3) * SPACING
     lattice = np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
     distance = np.linalg.norm(lattice, axis=1)
@@ -112,7 +112,7 @@ def test_lattice_at_rest_has_its_density(shared: SharedLaw):
 
 
 def test_flow_leaves_the_yield_stress(shared: SharedLaw):
-    """Relax shear in any direction to the yield stress, and pressure not at all."""
+    """Relax shear in any direction to the yield stress, regardless of pressure."""
     own = particle_law(Material())
     random = np.random.default_rng(1)
     shears = random.normal(size=(50, 3, 3))
@@ -133,7 +133,7 @@ def test_flow_leaves_the_yield_stress(shared: SharedLaw):
 
 
 def test_bond_draws_out_at_its_tension_limit(shared: SharedLaw):
-    """Follow the share of flow up to the limit, and bear no more than that beyond it."""
+    """Follow the flow fraction up to the limit, and carry no more than that beyond it."""
     limit, rest = 0.1 * SPACING, SPACING
     distance = np.linspace(0.9, 1.3, 41) * SPACING
     for share in (0.0, 0.3):
@@ -145,7 +145,7 @@ def test_bond_draws_out_at_its_tension_limit(shared: SharedLaw):
         np.testing.assert_allclose(distance - flowed, expected, atol=1e-6 * SPACING)
         moved = np.abs(distance - rest) > 1e-3 * SPACING
         secant = expected[moved] / (distance - rest)[moved]
-        # Of a bond that yields and draws out at once, the tangent is stiffer than the secant.
+        # If a bond yields and draws out at once, the softening exceeds the secant.
         assert (softening[moved] >= secant * (1.0 - 1e-3)).all()
         one_way = (expected[moved] < limit) | (share == 0.0)
         np.testing.assert_allclose(softening[moved][one_way], secant[one_way], rtol=1e-3)
@@ -153,11 +153,11 @@ def test_bond_draws_out_at_its_tension_limit(shared: SharedLaw):
 
 @pytest.mark.parametrize("index", [1.0, 0.5])
 def test_damping_has_the_stress_of_the_material(shared: SharedLaw, index: float):
-    """Damp pairs so that the shear stress grows by the power of the strain rate."""
+    """Damp pairs so that the shear stress grows as a power of the strain rate."""
     own = particle_law(Material(flow_index=index))
     shear = np.geomspace(0.1, 100.0, 7)
     squares = 28.0 * SPACING**2
-    # Simple shear D : D = γ̇² / 2; pairs part at rates whose mean square is 2/15 of that.
+    # Simple shear: D : D = γ̇² / 2; separation rates have a mean square of 2/15 of that.
     rates = squares * (2.0 / 15.0) * 0.5 * shear**2
     damping = wp.zeros(len(shear), dtype=float, device="cpu")
     inputs = [shared, own, squares, numbers(rates), damping]
@@ -169,8 +169,8 @@ def test_damping_has_the_stress_of_the_material(shared: SharedLaw, index: float)
 @pytest.mark.parametrize(
     "block",
     [
-        measures_cpu.lay_block,
-        measures_cpu.lay_one,
+        measures_cpu.gather_block,
+        measures_cpu.gather_one,
         measures_cpu.measure_block,
         forces_cpu.sum_forces_block,
         forces_cpu.flow_block,
@@ -179,8 +179,8 @@ def test_damping_has_the_stress_of_the_material(shared: SharedLaw, index: float)
     ],
     ids=lambda block: block.key,
 )
-def test_vector_units_take_the_same_text(block: wp.Function):
-    """Include the formulas as they stand in every pass of the vector units."""
+def test_vector_units_use_the_same_source(block: wp.Function):
+    """Include the formulas verbatim in every pass for the vector units."""
     assert law.FORMULAS in block.native_snippet
 
 
@@ -189,7 +189,7 @@ def test_vector_units_take_the_same_text(block: wp.Function):
     ["rows", "measures", "measures_cpu", "forces", "forces_cpu", "products", "products_cpu"],
 )
 def test_passes_have_no_constants_of_their_own(name: str):
-    """Keep every number but 0, a half and 1 where the law is."""
+    """Keep every number but 0, a half and 1 in the law's module."""
     source = (BONDS / "pairs" / f"{name}.py").read_text(encoding="utf-8")
     _licence, text = source.split("\n", 1)
     literals = re.findall(r"(?<![\w.])(?:\d+\.\d*|\d+(?=[ef]))(?:e[-+]?\d+)?", text)

@@ -23,7 +23,7 @@ STEP = 1 / 240
 
 
 def test_contacts_are_found_the_same(pressed: PlasticBonds):
-    """Find the same contacts whether particles are screened or each is asked."""
+    """Find the same contacts with and without screening by block."""
     body, contacts = pressed.particles, pressed.contacts
     slots, around = contacts.slots, contacts._surroundings
     common = contact_law.ContactPass()
@@ -40,7 +40,7 @@ def test_contacts_are_found_the_same(pressed: PlasticBonds):
 
 
 def test_particles_fall_and_move_the_same(pressed: PlasticBonds):
-    """Fall, move, clamp and quarantine the same."""
+    """Fall, move, clamp and quarantine particles alike."""
     body = pressed.particles
     body.speed_limit.fill_(0.1)
     velocity = np.random.default_rng(6).normal(size=(body.count, 3)).astype(np.float32) * 0.05

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Comparing a pass for the CPU's vector units with the plain kernel that does the same."""
+"""Comparing a pass for the CPU's vector units with its plain kernel."""
 
 from collections.abc import Callable
 
@@ -19,16 +19,16 @@ def compare(
     tolerance: float = 1e-5,
     allow_zero: bool = False,
 ) -> None:
-    """Run both passes from the same state and hold their results to each other.
+    """Run both passes from the same state, and compare their results.
 
     Args:
-        model: Whose state it is.
+        model: The model whose state is used.
         plain: Runs the plain pass.
         by_block: Runs the pass for the CPU's vector units.
-        state: What the passes change and start from.
-        results: Read what came out, by name.
-        tolerance: Largest difference over the largest value.
-        allow_zero: Whether a result may be zero everywhere; then it must be in both.
+        state: Arrays that the passes change, restored before each.
+        results: Functions that read the results, by name.
+        tolerance: Largest difference, relative to the largest value.
+        allow_zero: Whether a result may be zero everywhere.
     """
     before = [array.numpy().copy() for array in state]
     outcomes = []
@@ -47,14 +47,14 @@ def compare(
 
 
 def acting(model: PlasticBonds, name: str) -> Callable[[], NDArray]:
-    """Read what the acting slots of all rows hold, sorted by pair."""
+    """Read the values of the acting slots of all rows, sorted by pair."""
     rows = model.pairs.rows
 
     def read() -> NDArray:
         first, count = rows.first.numpy(), rows.acting.numpy()
         slots = np.concatenate([np.arange(f, f + c) for f, c in zip(first, count, strict=True)])
-        who = np.repeat(np.arange(len(first)), count)
-        order = np.lexsort((rows.other.numpy()[slots], who))
+        row = np.repeat(np.arange(len(first)), count)
+        order = np.lexsort((rows.other.numpy()[slots], row))
         return getattr(rows, name).numpy()[slots][order]
 
     return read
@@ -75,7 +75,7 @@ def over_parts(*arrays: wp.array) -> dict[str, Callable[[], NDArray]]:
 
 
 def conditions(model: PlasticBonds) -> dict[str, Callable[[], NDArray]]:
-    """Read each number of the particles' conditions for itself."""
+    """Read each component of the particles' conditions separately."""
 
     def reader(place: int) -> Callable[[], NDArray]:
         return lambda: model.pairs.rows.condition.numpy()[:, place]

@@ -30,8 +30,8 @@ def test_every_preset_reads_and_names_its_source():
         assert all(getattr(material, key) == table["material"][key] for key in values)
 
 
-def test_unknown_preset_lists_those_that_are_there():
-    """Name the presets when one is asked for that is not there."""
+def test_unknown_preset_lists_those_available():
+    """List the presets in the error about an unknown one."""
     with pytest.raises(ValueError, match="plasticine"):
         Material.preset("marzipan")
 
@@ -45,14 +45,14 @@ def test_preset_name_cannot_leave_the_folder():
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -1.0])
 @pytest.mark.parametrize("name", ["density", "yield_stress", "viscosity", "shear_modulus"])
 def test_bad_value_is_refused_by_name(name: str, value: float):
-    """Say which value is wrong."""
+    """Name the value that is wrong."""
     with pytest.raises(ValueError, match=name):
         Material(**{name: value})
 
 
 @given(text=st.text(max_size=200))
-def test_any_text_reads_or_says_what_is_wrong(tmp_path_factory, text: str):
-    """Never fail on a preset file with anything but a clear ValueError."""
+def test_any_text_is_read_or_refused(tmp_path_factory, text: str):
+    """Fail on a preset file only with a clear ValueError."""
     path = tmp_path_factory.mktemp("presets") / "any.toml"
     path.write_text(text, encoding="utf-8")
     try:
@@ -62,7 +62,7 @@ def test_any_text_reads_or_says_what_is_wrong(tmp_path_factory, text: str):
 
 
 def test_unknown_key_and_text_value_are_refused(tmp_path: Path):
-    """Name an unknown key, and a value that is no number."""
+    """Name an unknown key, and a value that is not a number."""
     path = tmp_path / "odd.toml"
     path.write_text("[material]\nstickiness = 1.0\n")
     with pytest.raises(ValueError, match="stickiness"):

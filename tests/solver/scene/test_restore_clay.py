@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Taking up the clay of a state where other tools are around it."""
+"""Restoring the clay of a snapshot among other tools."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SPACING = 0.005
 
 
 def solver(*, tool: bool = False, count: int = 6, apart: float = 0.0) -> Solver:
-    """A block that hangs in the air, in two halves if they are apart, and perhaps a tool."""
+    """A block floating in the air, its halves ``apart`` [m], optionally with a tool."""
     row = np.arange(count) * SPACING
     points = np.stack(np.meshgrid(row, row, row, indexing="ij"), -1).reshape(-1, 3)
     points[len(points) // 2 :, 0] += apart
@@ -23,10 +23,10 @@ def solver(*, tool: bool = False, count: int = 6, apart: float = 0.0) -> Solver:
     return Solver(scene, device="cpu")
 
 
-def test_clay_stays_parted_when_a_tool_comes() -> None:
+def test_clay_stays_separate_when_a_tool_is_added() -> None:
     """Keep halves apart that a solver built from their points would join."""
     parted = solver(apart=0.45 * SPACING)
-    # They hang side by side, nearer than bonds reach when a solver is built, but unbonded.
+    # The halves lie closer than the bond reach of a new solver, but are not bonded.
     state = parted.snapshot()
     again = solver(tool=True, apart=0.45 * SPACING)
     again.restore_clay(state)
@@ -40,7 +40,7 @@ def test_clay_stays_parted_when_a_tool_comes() -> None:
 
 
 def test_clay_of_another_block_is_refused() -> None:
-    """Leave the state as it is where the particles are others."""
+    """Leave the state unchanged if the snapshot has other particles."""
     block = solver()
     before = block.positions()
     with pytest.raises(ValueError, match="another scene"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene accepts and refuses."""
+"""What a scene accepts and what it refuses."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_bad_collider_is_refused():
 
 
 def test_bad_pose_keeps_the_last_good_one():
-    """Refuse a pose that is not finite or flat, and stay where the tool was."""
+    """Refuse a pose that is flat or not finite, and keep the last one."""
     box = trimesh.creation.box()
     tool = Scene().add_mesh(box.vertices, box.faces)
     good = np.diag([2.0, 1.0, 1.0, 1.0])

@@ -247,8 +247,8 @@ BLUR = (
             const f8 result = sum * (1.f / 256.f);
             #undef AT
             store(out + row, result);
-            low = least(low, result);
-            high = most(high, result);
+            low = minimum(low, result);
+            high = maximum(high, result);
         }
         float l = low[0], h = high[0];
         for (int k = 1; k < 8; k++) {

@@ -29,20 +29,20 @@ from tactile_clay.tests.solver.plastic_bonds.two_ways import (
 
 SPACING = 0.005
 
-LAID = ("direction_x", "direction_y", "direction_z", "distance", "distance_next", "other")
+GATHERED = ("direction_x", "direction_y", "direction_z", "distance", "distance_next", "other")
 
 
-def test_pairs_are_laid_the_same(pressed: PlasticBonds):
-    """Find the same pairs, directions, lengths and volumes."""
+def test_pairs_are_gathered_the_same(pressed: PlasticBonds):
+    """Find the same pairs, directions, lengths and conditions."""
     rows, body = pressed.pairs.rows, pressed.particles
     law = [pressed.shared_law, pressed.particle_laws, body.material]
     inputs = [*law, body.position, body.velocity, rows]
     compare(
         pressed,
-        lambda: body.launch(measures.lay_pairs, *inputs),
-        lambda: body.launch_blocks(measures_cpu.lay_pairs, *inputs, pressed.pairs._left),
+        lambda: body.launch(measures.gather_pairs, *inputs),
+        lambda: body.launch_blocks(measures_cpu.gather_pairs, *inputs, pressed.pairs._left),
         [rows.other, rows.rest_length, rows.acting],
-        {name: acting(pressed, name) for name in (*LAID, "rest_length")}
+        {name: acting(pressed, name) for name in (*GATHERED, "rest_length")}
         | conditions(pressed)
         | per_particle(rows.acting),
         tolerance=1e-4,
@@ -64,7 +64,7 @@ def test_pairs_are_measured_the_same(pressed: PlasticBonds):
 
 
 def test_forces_are_the_same(pressed: PlasticBonds):
-    """Sum the same forces and tangents, law and all."""
+    """Sum the same forces and tangents."""
     rows, body, solve = pressed.pairs.rows, pressed.particles, pressed.gradients.data
     inputs = [
         pressed.shared_law,
@@ -107,7 +107,7 @@ def test_bonds_flow_the_same(pressed: PlasticBonds):
 
 
 def test_products_are_the_same(pressed: PlasticBonds):
-    """Multiply any direction to the same product."""
+    """Compute the same product with any direction."""
     body, solve = pressed.particles, pressed.gradients.data
     direction = np.random.default_rng(2).normal(size=(body.count, 4))
     direction[:, 3] = 0.0
@@ -142,7 +142,7 @@ def test_products_are_the_same(pressed: PlasticBonds):
 
 
 def test_tangent_is_symmetric_and_positive(pressed: PlasticBonds):
-    """Give a symmetric, positive definite system: what conjugate gradients ask for."""
+    """Have a symmetric, positive definite tangent, as conjugate gradients require."""
     count, solve = pressed.particles.count, pressed.gradients.data
     generator = np.random.default_rng(3)
     vectors = [generator.normal(size=(count, 3)).astype(np.float32) for _ in range(2)]
@@ -185,7 +185,7 @@ def test_rest_lengths_are_equal_at_both_ends(pressed: PlasticBonds):
 def test_rows_are_filled_the_same(pressed: PlasticBonds):
     """List the same neighbors from sorted cells as from a hash grid."""
     body, rows = pressed.particles, pressed.pairs.rows
-    # Rows that are too short keep any of the neighbors.
+    # Rows that are too short keep an arbitrary part of the neighbors.
     pressed.neighbors.rebuild()
     reach = pressed.neighbors.reach
     grid = wp.HashGrid(16, 16, 16, device="cpu")

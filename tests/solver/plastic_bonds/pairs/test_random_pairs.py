@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Passes for the CPU's vector units against the plain kernels, from random states.
 
-The states are wilder than any that clay gets into, so that every branch of the law is taken.
+The states are more extreme than real ones, so that every branch of the law is taken.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ MATERIALS = (
     Material(yield_stress=8e3, density=1900.0, viscosity=0.0, cohesion=3e4),
 )
 SEEDS = (1, 2, 3)
-LAY = (measures.lay_pairs, measures_cpu.lay_pairs)
+GATHER = (measures.gather_pairs, measures_cpu.gather_pairs)
 MEASURE = (measures.measure_pairs, measures_cpu.measure_pairs)
 SUM_FORCES = (forces.sum_forces, forces_cpu.sum_forces)
 FLOW = (forces.flow_pairs, forces_cpu.flow_pairs)
@@ -67,7 +67,7 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
     assert isinstance(model, PlasticBonds)
     body, table = model.particles, model.pairs.rows
     place = body.position.numpy()
-    # From a side that hardly moves to one where nothing holds.
+    # From nearly still on one side to violent on the other.
     wildness = 10.0 ** (-4.0 * (place[:, 0].max() - place[:, 0]) / np.ptp(place[:, 0]))
     for velocity in (body.velocity, body.velocity_free):
         drawn = random.normal(scale=0.3, size=place.shape) * wildness[:, None]
@@ -76,7 +76,7 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
     first, listed, other = table.first.numpy(), table.listed.numpy(), table.other.numpy()
     acts = random.integers(listed // 2, listed + 1)
     table.acting.assign(acts.astype(np.int32))
-    # Free pairs, bonds that are being counted in, and bonds of all lengths up to broken ones.
+    # Free pairs, pairs about to bond, and bonds of all lengths up to broken ones.
     rest = np.zeros(table.rest_length.shape, np.float32)
     for i, wild in enumerate(wildness):
         slots = slice(first[i], first[i] + acts[i])
@@ -87,7 +87,7 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
         rest[slots] = np.where(bonded, apart + wild * (drawn - apart), waiting)
     table.rest_length.assign(rest)
     body.launch(
-        measures.lay_pairs,
+        measures.gather_pairs,
         model.shared_law,
         model.particle_laws,
         body.material,
@@ -101,10 +101,10 @@ def model(request: pytest.FixtureRequest) -> PlasticBonds:
 def both_ways(
     model: PlasticBonds, kernels: tuple[wp.Kernel, wp.Kernel], *inputs: object
 ) -> tuple[Callable[[], None], Callable[[], None]]:
-    """A pass over the rows, by the plain kernel and by vector units."""
+    """A pass over the rows, with the plain kernel and with vector units."""
     body = model.particles
     plain, by_block = kernels
-    left = [model.pairs._left] if kernels is LAY else []
+    left = [model.pairs._left] if kernels is GATHER else []
     return (
         lambda: body.launch(plain, *inputs),
         lambda: body.launch_blocks(by_block, *inputs, *left),
@@ -112,7 +112,7 @@ def both_ways(
 
 
 def test_states_take_every_branch(model: PlasticBonds):
-    """Have particles that are compressed and that flow, and bonds of every length."""
+    """Contain compressed and flowing particles, and bonds of every length."""
     condition = model.pairs.rows.condition.numpy()
     assert (condition[:, rows.COMPRESSION] > 0).any()
     assert (condition[:, rows.DAMPING] > 0).any()
@@ -127,14 +127,14 @@ def test_states_take_every_branch(model: PlasticBonds):
         assert (rest > 1.9).any()
 
 
-def test_pairs_are_laid_the_same(model: PlasticBonds):
-    """Find the same pairs, directions and distances, and measure the same."""
+def test_pairs_are_gathered_the_same(model: PlasticBonds):
+    """Find the same pairs, directions, distances and conditions."""
     table, body = model.pairs.rows, model.particles
     motion = [body.position, body.velocity, table]
     names = ("direction_x", "direction_y", "direction_z", "distance", "other", "rest_length")
     compare(
         model,
-        *both_ways(model, LAY, model.shared_law, model.particle_laws, body.material, *motion),
+        *both_ways(model, GATHER, model.shared_law, model.particle_laws, body.material, *motion),
         [table.other, table.rest_length, table.acting],
         {name: acting(model, name) for name in names}
         | conditions(model)
@@ -145,7 +145,7 @@ def test_pairs_are_laid_the_same(model: PlasticBonds):
 
 
 def test_pairs_are_measured_the_same(model: PlasticBonds):
-    """Measure the same lengths, strains, shares of flow and dampings."""
+    """Measure the same lengths and conditions."""
     body = model.particles
     inputs = [model.shared_law, model.particle_laws, body.material, body.velocity]
     compare(
@@ -174,7 +174,7 @@ def test_forces_are_the_same(model: PlasticBonds):
 
 
 def test_products_are_the_same(model: PlasticBonds):
-    """Multiply any direction to the same product."""
+    """Compute the same product with any direction."""
     body, solve, law = model.particles, model.gradients.data, model.shared_law
     direction = np.random.default_rng(4).normal(size=(body.count, 4))
     direction[:, 3] = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Passes of the solve for the CPU against the plain kernels, and the coarse space."""
+"""The solve's passes for the CPU against the plain kernels, and the coarse space."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ from tactile_clay.tests.solver.plastic_bonds.two_ways import (
 
 
 @pytest.mark.parametrize("name", ["start", "turn", "advance", "finish"])
-def test_conjugate_gradients_go_the_same_way(pressed: PlasticBonds, name: str):
-    """Leave the same vectors and sums after each pass of an iteration."""
+def test_conjugate_gradients_are_the_same(pressed: PlasticBonds, name: str):
+    """Compute the same vectors and sums in each pass of an iteration."""
     body, solve = pressed.particles, pressed.gradients.data
     solve.cell, solve.center = pressed.coarse.cell, pressed.coarse.center
     solve.sums, solve.modes = pressed.coarse.sums, pressed.coarse.modes
@@ -58,7 +58,7 @@ def test_conjugate_gradients_go_the_same_way(pressed: PlasticBonds, name: str):
 
 
 def test_coarse_matrix_is_the_galerkin_one(pressed: PlasticBonds):
-    """Sum, on both ways, the matrix that the particles' tangent has on the coarse modes."""
+    """Sum, by both kernels, the particles' tangent projected onto the coarse modes."""
     body, coarse, rows = pressed.particles, pressed.coarse, pressed.pairs.rows
     inputs = [coarse.cell, coarse.center, body.position, pressed.own_block, rows]
     size = int(coarse.size.numpy()[0])
@@ -93,14 +93,14 @@ def test_coarse_matrix_is_the_galerkin_one(pressed: PlasticBonds):
 
 
 def test_coarse_solve_is_exact(pressed: PlasticBonds):
-    """Solve the coarse system like a dense solver does."""
+    """Solve the coarse system like a dense solver."""
     coarse = pressed.coarse
     coarse.assemble(pressed.own_block, pressed.pairs)
     size = int(coarse.size.numpy()[0])
     summed = coarse.matrix.numpy().sum(0)
     matrix = coarse_space.join_blocks(summed, coarse.center.numpy()[: size // 6])
     matrix[np.diag_indices(size)] += np.tile(coarse.ridge, size // 6)
-    # An impulse on every cell, with a turn that fits the cell's size.
+    # An impulse on every cell, with an angular part scaled to the cell's size.
     sums = np.random.default_rng(5).normal(size=size) * np.sqrt(np.diag(matrix))
     padded = np.zeros(coarse.sums.shape)
     padded[:, :size] = 0.25 * sums, 0.75 * sums
