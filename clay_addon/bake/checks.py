@@ -82,7 +82,7 @@ def check_resume(
             f"The bake in {cache.directory} is stale: {change}. Bake again to start over, or undo "
             "the change and resume."
         )
-    return cache.whole_frames(meta.start, meta.end)
+    return cache.intact_frames(meta.start, meta.end)
 
 
 def compare(
@@ -103,7 +103,7 @@ def compare(
     changed = changed_subjects(meta, settings)
     if changed:
         return f"since then changed: {', '.join(changed)}"
-    for number, frame in cache.whole_frames(meta.start, meta.end).items():
+    for number, frame in cache.intact_frames(meta.start, meta.end).items():
         if number == meta.start:
             scene.frame_set(number)
             inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())

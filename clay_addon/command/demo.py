@@ -22,7 +22,7 @@ import bpy
 import numpy as np
 
 from ...solver.core.errors import TactileClayError
-from ..core.storage.whole_files import replace_text
+from ..core.storage.atomic_files import replace_text
 from .demo_progress import DemoProgress, chatter_into
 from .demo_scenes import DEFAULT, SCENES, DemoScene
 

@@ -121,7 +121,7 @@ def _describe_bake(
     previous = scene.frame_current, scene.frame_subframe
     try:
         meta = cache.meta()
-        whole = cache.whole_frames(meta.start, meta.end)
+        whole = cache.intact_frames(meta.start, meta.end)
         table["range"] = [meta.start, meta.end]
         table["frames"] = len(whole)
         table["missing"] = [n for n in range(meta.start, meta.end + 1) if n not in whole]

@@ -22,8 +22,8 @@ import bpy
 
 from ..base.activity import ActivityKind, BusyError, clay_activity
 from ..base.units import meters_per_unit
+from ..core.storage.atomic_files import replace_file
 from ..core.storage.cache import CacheError
-from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
 from ..model.clay_scene import clay_objects, frames_per_second
 from ..model.properties import frame_range

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...solver.core.errors import TactileClayError
 from ..base.units import meters_per_unit
-from ..core.storage.whole_files import replace_file
+from ..core.storage.atomic_files import replace_file
 from ..core.surface.exact import Surface
 from ..core.surface.mesh_3mf import write_3mf
 from ..playback.shown_clay import ShownClayError, ShownParticles, particles_surface
@@ -80,10 +80,10 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
         )
     if suffix == ".3mf":
         colors = None if surface.colors is None else _eight_bits(_srgb(surface.colors))
-        _write_whole(path, lambda file: write_3mf(file, single, surface.faces, colors))
+        _write_atomically(path, lambda file: write_3mf(file, single, surface.faces, colors))
     else:
         content = _encode(suffix, single, surface.faces, normals, surface.colors)
-        _write_whole(path, lambda file: file.write(content))
+        _write_atomically(path, lambda file: file.write(content))
     return path
 
 
@@ -295,7 +295,7 @@ def _eight_bits(colors: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
-def _write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def _write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         replace_file(path, temporary, write)

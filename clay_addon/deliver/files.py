@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from ..clay.look import set_input
-from ..core.storage.whole_files import replace_file
+from ..core.storage.atomic_files import replace_file
 from ..core.surface.exact import Surface
 from ..playback.shown_clay import ShownParticles
 from .nodes import FILE_COLOR, late_group

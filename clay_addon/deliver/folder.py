@@ -12,7 +12,7 @@ from pathlib import Path
 import bpy
 
 from ...solver.core.errors import TactileClayError
-from ..core.storage.whole_files import lock_file
+from ..core.storage.atomic_files import lock_file
 
 NOTE = "delivery.json"
 """Marks a folder as a delivery, which may be replaced, and says what is in it."""

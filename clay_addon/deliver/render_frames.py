@@ -19,8 +19,8 @@ from pathlib import Path
 import bpy
 
 from ...solver.core.errors import TactileClayError
+from ..core.storage.atomic_files import replace_file
 from ..core.storage.playback import held_frame
-from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
 from ..playback.playback import cache_of, message
 from ..playback.poses import plays_itself

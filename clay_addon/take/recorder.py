@@ -266,7 +266,7 @@ class TakeRecorder:
     def _take_row(self) -> None:
         assert self._row is not None
         if self._steps.add(self._row, self.seconds):
-            self._frames.tell_end()
+            self._frames.write_end()
         self._row = None
 
     def _write(self, task: Callable[[], None]) -> None:

@@ -169,7 +169,7 @@ def test_scene_option_bakes_another_scene(studio: Any, tmp_path: Path) -> None:
     assert main(["bake", str(path), *options]) == 0
     meta = Cache(tmp_path / "other").meta()
     assert [(part.name, part.count) for part in meta.clay] == [("Lump", 8)]
-    frames = Cache(tmp_path / "other").whole_frames(1, 3)
+    frames = Cache(tmp_path / "other").intact_frames(1, 3)
     assert len({frame.inputs for frame in frames.values()}) == 3
 
 

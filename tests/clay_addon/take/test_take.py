@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.core.storage import whole_files as cache_files
+from tactile_clay.clay_addon.core.storage import atomic_files as cache_files
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheError
 from tactile_clay.clay_addon.core.take.files import read_take
 from tactile_clay.clay_addon.core.tools.edits import Edit
@@ -231,8 +231,8 @@ def test_full_disk_costs_nothing_but_the_clays_frames(
     def refuse(path: Path, *_: object, **__: object) -> None:
         raise CacheError(f"The disk is full: {path.name} could not be written.")
 
-    monkeypatch.setattr(cache_files, "write_whole", refuse)
-    monkeypatch.setattr("tactile_clay.clay_addon.core.take.files.write_whole", refuse)
+    monkeypatch.setattr(cache_files, "write_atomically", refuse)
+    monkeypatch.setattr("tactile_clay.clay_addon.core.take.files.write_atomically", refuse)
     for number in range(7, 13):
         item.matrix_world = press(number * STEP)
         loop.step()
@@ -275,7 +275,7 @@ def test_recovering_what_is_no_take_is_refused(studio: Any, tmp_path: Path) -> N
     assert "There is no take in" in message
     (tmp_path / "take.json").write_text("{}")
     message = studio.refused(bpy.ops.clay.take_recover, directory=str(tmp_path))
-    assert "cannot be understood" in message
+    assert "is damaged" in message
 
 
 _KILLED = """
