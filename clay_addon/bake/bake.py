@@ -234,7 +234,7 @@ def _bake_frames(
                                 cancelled = True
                                 break
                     tally.warnings += simulation.warnings()
-                    if simulation.edited is not None:
+                    if simulation.edited_clay is not None:
                         _keep_colors(scene, simulation, cache)
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except (SimulationError, WheelError) as error:
@@ -271,8 +271,8 @@ def _bake_frames(
 
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
     """Give the clay the colors it has at the end: a bake has one for each particle."""
-    assert simulation.edited is not None
-    colors = simulation.edited.colors
+    assert simulation.edited_clay is not None
+    colors = simulation.edited_clay.colors
     cache.write_colors(colors)
     for part, rows in zip(simulation.parts, simulation.parts.split(colors), strict=True):
         write_colors(scene.objects[part.name], rows)
@@ -329,7 +329,7 @@ def _simulate(
     try:
         for number in range(at + 1, last + 1):
             began = time.perf_counter()
-            inputs = simulation.reach(number, steps=True)
+            inputs = simulation.advance_to(number, step_solver=True)
             # Before the frame itself, which counts as done once it is there.
             felt.after(number, record=number not in known)
             if number not in known:

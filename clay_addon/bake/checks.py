@@ -108,7 +108,7 @@ def compare(
             scene.frame_set(number)
             inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
         else:
-            inputs = simulation.reach(number, steps=False)
+            inputs = simulation.advance_to(number, step_solver=False)
         if inputs != frame.inputs:
             what = simulation.moving_parts()
             return f"since then the {what} motion changed, first at frame {number}"

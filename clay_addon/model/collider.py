@@ -28,7 +28,7 @@ def make_collider(
     """Mark a mesh object as a collider; it may be animated by its transform or its modifiers.
 
     Args:
-        item: A mesh object. A flat one is an endless plane, any other must be closed.
+        item: A mesh object. A flat one is an infinite plane, any other must be closed.
         kind: ``AUTO``, ``MESH`` or ``PLANE``.
         friction: Coulomb friction coefficient.
 
@@ -79,7 +79,7 @@ def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgra
     vertices = transform(item.evaluated_get(depsgraph).matrix_world, vertices)
     flat = flat_plane(vertices) is not None
     if kind == "PLANE" and not flat:
-        raise ColliderError(f"{item.name!r} is not flat, so it cannot be an endless plane.")
+        raise ColliderError(f"{item.name!r} is not flat, so it cannot be an infinite plane.")
     if kind == "PLANE" or (kind == "AUTO" and flat):
         return "PLANE"
     try:

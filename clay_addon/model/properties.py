@@ -121,7 +121,7 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
         name="Shape",
         description="How the clay meets this object",
         items=(
-            ("AUTO", "Automatic", "A flat mesh is an endless plane, any other a closed mesh"),
+            ("AUTO", "Automatic", "A flat mesh is an infinite plane, any other a closed mesh"),
             ("MESH", "Closed mesh", "The mesh itself; it may move and deform"),
             ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
         ),

@@ -214,7 +214,7 @@ def _add_tools(
 
 
 def _add_board(context: bpy.types.Context) -> None:
-    """Add a round board, to the clay an endless plane, on paper that bends up behind it."""
+    """Add a round board, to the clay an infinite plane, on paper that bends up behind it."""
     angles = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(128)], axis=1)
     top = mesh_object("Board", 0.158 * circle, [range(128)])

@@ -209,7 +209,7 @@ _PIECES = (
 
 
 def _add_table(context: bpy.types.Context) -> None:
-    """Add a wooden table top: to the clay an endless plane."""
+    """Add a wooden table top: to the clay an infinite plane."""
     corners = np.array([(x, y, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     top = mesh_object("Table", 0.6 * corners, [(0, 1, 2, 3)])
     material = plain_material("Wood", (0.60, 0.40, 0.22), 0.38)

@@ -32,7 +32,7 @@ def scene_preset(name: str) -> dict[str, Any]:
 
 
 def add_table(context: bpy.types.Context, place: Sequence[float]) -> bpy.types.Object:
-    """Add a table top: to the clay an endless plane.
+    """Add a table top: to the clay an infinite plane.
 
     Args:
         context: Its collection takes it.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which clay and which hands of a scene take part in a simulation."""
+"""Selection and checks of the objects that take part in a simulation."""
 
 from __future__ import annotations
 
@@ -13,34 +13,34 @@ from ..model.collider import TAKE_TOOL
 from .hand_motion import MovingHand
 
 LIVE_HOLD_STIFFNESS = 600.0
-"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
-fingertip pressed with 6 N is a centimeter behind."""
+"""Stiffness with which a live hand holds its pose against the clay [N/m]: nothing supports the hand
+in the air, so a fingertip pressed with 6 N is held back by a centimeter."""
 
 
 def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
-    """The hands that take part in a simulation.
+    """Read the hands that take part in a simulation.
 
     Raises:
-        SimulationError: A hand is not bound, or has changed since.
+        SimulationError: A hand is not bound, or has changed since it was bound.
     """
     gives_way = live or context.scene.tactile_clay.hands_give_way
     hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
     hands = hand_objects(context.scene)
     if hands and live:
-        hands = simulated(hands, context.evaluated_depsgraph_get(), live=True)
+        hands = participants(hands, context.evaluated_depsgraph_get(), live=True)
     try:
         return [MovingHand(context, item, hold_stiffness=hold_stiffness) for item in hands]
     except HandError as error:
         raise SimulationError(str(error)) from error
 
 
-def simulated(
+def participants(
     objects: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph, *, live: bool
 ) -> list[bpy.types.Object]:
-    """The objects that take part in a simulation.
+    """Select the objects that take part in a simulation.
 
-    A bake refuses objects that are switched off, since that may be a mistake; a live session leaves
-    them out. It also leaves out the tools of earlier takes.
+    A live session leaves out objects that are switched off, and the tools of earlier takes. A bake
+    does not: it later refuses objects that are switched off, since that may be a mistake.
     """
     return [
         item
@@ -50,10 +50,10 @@ def simulated(
 
 
 def check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
-    """Refuse clay that Blender does not evaluate, or that shares its points.
+    """Refuse clay that Blender does not evaluate, or that shares its point cloud.
 
     Raises:
-        SimulationError: The message names the object and says what to do.
+        SimulationError: An object is unusable; the message says what to do.
     """
     users: dict[bpy.types.ID, bpy.types.Object] = {}
     for item in clay:
@@ -63,20 +63,20 @@ def check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> 
         if other != item:
             raise SimulationError(
                 f"{item.name!r} is a linked duplicate of {other.name!r}, so both would show the "
-                "same particles. Make it a copy of its own (Object > Relations > Make Single "
+                "same particles. Make it a separate copy (Object > Relations > Make Single "
                 "User > Object & Data)."
             )
 
 
 def common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
-    """The one distance between particles of all clay [Blender units].
+    """The particle spacing shared by all clay [Blender units].
 
     Args:
         clay: The clay objects.
         scale: Length of a Blender unit [m], for the message.
 
     Raises:
-        SimulationError: The objects differ, or one has no spacing.
+        SimulationError: The spacings differ, or an object has none.
     """
     spacings = {item.name: item.tactile_clay.spacing for item in clay}
     first = next(iter(spacings.values()))
@@ -86,7 +86,7 @@ def common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
         if abs(spacing - first) > 1e-6 * first:
             sizes = ", ".join(f"{n!r} {s * scale * 1e3:.3g} mm" for n, s in spacings.items())
             raise SimulationError(
-                f"All clay of a scene needs the same spacing, but there is {sizes}. Make the odd "
-                "ones again."
+                f"All clay in a scene needs the same spacing, but the spacings are {sizes}. Make "
+                "the clay again where the spacing differs."
             )
     return first

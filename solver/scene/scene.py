@@ -250,7 +250,7 @@ class Scene:
         friction: float = 0.5,
         adhesion: float = 0.0,
     ) -> Plane:
-        """Add an endless plane, such as a table.
+        """Add an infinite plane, such as a table.
 
         Args:
             point: A point on it [m], shape [3].

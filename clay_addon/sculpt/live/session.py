@@ -201,7 +201,7 @@ class SculptSession:
         with self.budget.measured("feed"):
             self.wheels.advance(context.scene, duration)
             try:
-                self.simulation.follow(context.evaluated_depsgraph_get())
+                self.simulation.update(context.evaluated_depsgraph_get())
             except SimulationError:
                 # Something that was followed is gone or has changed: try to build again.
                 self._begin_build(context)

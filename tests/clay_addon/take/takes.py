@@ -21,7 +21,7 @@ from tactile_clay.clay_addon.model.collider import make_collider
 from tactile_clay.clay_addon.sculpt.live.edits import edit_clay
 from tactile_clay.clay_addon.simulate.simulation import Simulation
 from tactile_clay.clay_addon.take.recorder import TakeRecorder
-from tactile_clay.clay_addon.take.store import Stored
+from tactile_clay.clay_addon.take.store import StoredTake
 from tactile_clay.tests.experiments.shapes import ball
 
 STEP = 1.0 / 60.0
@@ -43,8 +43,8 @@ class Loop:
     def step(self, *, tools: Any = (), duration: float = STEP) -> NDArray[np.float32]:
         """Do one step, of what the scene is posed for."""
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        self.simulation.follow(depsgraph)
-        self.recorder.look(depsgraph, tools)
+        self.simulation.update(depsgraph)
+        self.recorder.capture(depsgraph, tools)
         assert self.simulation.solver is not None
         self.simulation.solver.step(duration)
         self.shapes.append(self.simulation.positions())
@@ -77,7 +77,7 @@ class Loop:
             keep_sculpted(item)
             first += part.count
 
-    def finish(self) -> Stored:
+    def finish(self) -> StoredTake:
         """End it."""
         self.show()
         return self.recorder.finish(self.scene)

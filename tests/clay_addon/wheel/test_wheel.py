@@ -195,11 +195,11 @@ def test_wheel_too_fast_for_the_frame_rate_is_refused(studio: Any, tmp_path: Pat
         bake(bpy.context)
 
 
-def test_endless_plane_cannot_be_a_wheel(studio: Any) -> None:
+def test_infinite_plane_cannot_be_a_wheel(studio: Any) -> None:
     """Say what to do where a flat collider has a speed."""
     studio.clay(location=(0.0, 0.0, 0.03))
     studio.table().tactile_clay.wheel_speed = 100.0
-    with pytest.raises(SimulationError, match="'Table' has a wheel speed, but an endless plane"):
+    with pytest.raises(SimulationError, match="'Table' has a wheel speed, but an infinite plane"):
         Simulation(bpy.context)
 
 
