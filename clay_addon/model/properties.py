@@ -123,7 +123,7 @@ class ClayObjectProperties(_MaterialValues, bpy.types.PropertyGroup):
         items=(
             ("AUTO", "Automatic", "A flat mesh is an infinite plane, any other a closed mesh"),
             ("MESH", "Closed mesh", "The mesh itself; it may move and deform"),
-            ("PLANE", "Endless plane", "A plane without end through a flat mesh; it stands still"),
+            ("PLANE", "Infinite plane", "An infinite plane through a flat mesh; it cannot move"),
         ),
         default="AUTO",
     )

@@ -95,7 +95,6 @@ class EditedClay:
         frames = [float(table["frame"]) for table in json.loads(text)]
         edits = [_edit(edit) for edit in edits_from_text(text)]
         self._edits = list(zip(frames, edits, strict=True))
-
         self._spacing = float(clay[0].tactile_clay.spacing) * scale
         self._scale = scale
         self._object = np.repeat(np.arange(len(clay)), [len(each) for each in rest])

@@ -365,7 +365,7 @@ def test_keyframes_lift_a_tool_off_the_clay_and_set_it_on(studio: Any) -> None:
 
 
 def test_plane_that_does_not_touch_the_clay_is_refused(studio: Any) -> None:
-    """Say that an infinite plane always touches, and what to do instead."""
+    """An infinite plane cannot be disabled; the message says what to do instead."""
     studio.clay()
     studio.table().tactile_clay.collider_enabled = False
     simulation = Simulation(bpy.context)
