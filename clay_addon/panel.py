@@ -239,7 +239,7 @@ def cache_state(scene: bpy.types.Scene, cache: Cache) -> tuple[str, str]:
             changed = changed_subjects(meta, scene_digests(scene))
             if changed:
                 warning = (
-                    f"The bake is stale: since then changed: {', '.join(changed)}. Bake again."
+                    f"The bake is stale: the scene has changed: {', '.join(changed)}. Bake again."
                 )
         except CacheError as error:
             warning = f"The cache cannot be used: {error}. Bake again."

@@ -66,7 +66,9 @@ def test_stale_bake_is_told(studio: Any, tmp_path: Path, scale: float) -> None:
     clay.location.x += 1.0
     clay.scale = (scale, scale, scale)
     bpy.context.view_layer.update()
-    expected = "since then changed: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, so"
+    expected = (
+        "the scene has changed: clay. Bake again." if scale == 1.0 else "'Clay' is scaled, so"
+    )
     assert expected in drawn(panel.CLAY_PT_bake)
 
 

@@ -196,9 +196,9 @@ def test_stale_bake_has_its_own_exit_code(
     bpy.ops.wm.save_mainfile()
     capfd.readouterr()
     assert main(["bake", str(blend), "--resume"]) == 3
-    assert "since then changed: materials" in capfd.readouterr().err
+    assert "the scene has changed: materials" in capfd.readouterr().err
     assert main(["info", str(blend)]) == 3
-    assert "stale     since then changed: materials" in capfd.readouterr().out
+    assert "stale     the scene has changed: materials" in capfd.readouterr().out
 
 
 def test_incomplete_bake_has_its_own_exit_code(

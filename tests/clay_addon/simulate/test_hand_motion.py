@@ -161,7 +161,7 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     end = 3
     bake(bpy.context, end=end)
     hand.tactile_clay.collider_friction = 0.9
-    with pytest.raises(BakeStaleError, match=r"since then changed: hands\. Bake again"):
+    with pytest.raises(BakeStaleError, match=r"the scene has changed: hands\. Bake again"):
         bake(bpy.context, end=end, resume=True)
     hand.tactile_clay.collider_friction = 0.5
     assert bake(bpy.context, end=end, resume=True).kept == end
