@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files of a delivered clay: one USD or Alembic file a shape, and one that plays them all.
+"""Files of a delivery: one USD or Alembic file per shape, and one USD file that plays them all.
 
-Blender's exporters write each shape from a scene of its own, so that a delivery can be stopped
-between two frames and never holds more than one in memory. For USD a small text file joins them by
-value clips (Pixar, *OpenUSD: Sequencable, Re-timeable Animated Value Clips*), which hold a shape
-until the next one: vertices of different shapes are never mixed, whatever time a motion blur asks
-for, and shapes that are held are stored once.
+Blender's exporters write each shape from a temporary scene, so that a delivery can be stopped
+between two frames and never has more than one in memory. For USD, a small text file joins the
+shapes with value clips (Pixar, *OpenUSD: Sequencable, Re-timeable Animated Value Clips*), which
+hold each shape until the next one: vertices of different shapes are never interpolated, even for
+motion blur, and held shapes are stored once.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from ..clay.look import set_input
 from ..core.storage.atomic_files import replace_file
 from ..core.surface.exact import Surface
 from ..playback.shown_clay import ShownParticles
-from .nodes import FILE_COLOR, late_group
+from .nodes import FILE_COLOR, delayed_group
 
 VELOCITY_ATTRIBUTE = "velocity"
-"""What Cycles makes motion blur from, per second."""
+"""Attribute that Cycles uses for motion blur [Blender units/s]."""
 ROOT_NAME = "clay.usda"
-"""The file that plays all shapes."""
+"""Name of the file that plays all shapes."""
 FRAMES_FOLDER = "frames"
 POINTS_PATH = "/Clay/points/PointCloud"
 
 
 class FrameWriter:
-    """Writes shapes through Blender's exporters, each into a file of its own.
+    """Writes shapes with Blender's exporters, each to a separate file.
 
-    What it needs in the .blend is there only while it writes: a person may do other things in
-    between, and Undo keeps what there is.
+    Its data-blocks exist only during `write`, so that users can continue to work between frames,
+    and undo steps do not include them.
 
     Args:
-        folder: Where the files go; it must exist.
+        folder: Folder for the files; it must exist.
         kind: ``usd`` or ``abc``.
-        frames_per_second: Of the scene [1/s].
-        points: Whether the particles are written too; Alembic has none.
+        frames_per_second: ``fps`` and ``fps_base`` of the scene.
+        points: Whether to also write the particles; not supported for Alembic.
     """
 
     def __init__(
@@ -52,69 +52,69 @@ class FrameWriter:
         self._kind = kind
         self._rate = frames_per_second
         self._points = points and kind == "usd"
-        self.name = _free_name("surface")
+        self.name = _unused_name("surface")
         """Name of the surface in the files."""
 
     @property
     def object_path(self) -> str:
-        """Where in a file the surface is."""
+        """Path of the surface within a file."""
         root = "/Clay" if self._kind == "usd" else ""
         return f"{root}/{self.name}/{self.name}"
 
     def path(self, number: int) -> Path:
-        """The file of the shape first shown at a frame."""
+        """File of the shape first shown at a frame."""
         return self._folder / f"clay_{number:06d}.{'usdc' if self._kind == 'usd' else 'abc'}"
 
     def write(self, number: int, surface: Surface, particles: Sequence[ShownParticles] = ()) -> int:
         """Write a shape.
 
         Args:
-            number: The first frame at which it is shown.
+            number: First frame at which the shape is shown.
             surface: The surface [Blender units].
-            particles: What it was made from; written where points are wanted.
+            particles: The particles of the surface, for `points`.
 
         Returns:
-            The size of the file in bytes.
+            The size of the file [bytes].
 
         Raises:
-            OSError: It could not be written.
+            OSError: The file could not be written.
         """
         path = self.path(number)
-        made: list[bpy.types.ID] = []
+        blocks: list[bpy.types.ID] = []
         try:
-            scene = self._scene(made)
-            self._add_surface(scene, made, number, surface)
+            scene = self._scene(blocks)
+            self._add_surface(scene, blocks, number, surface)
             if self._points:
-                self._add_points(scene, made, number, particles)
+                self._add_points(scene, blocks, number, particles)
             self._export(scene, number, path)
         finally:
-            # What uses another goes first.
-            for block in made:
+            # Users are removed before the data-blocks they use.
+            for block in blocks:
                 bpy.data.batch_remove([block])
         size = path.stat().st_size if path.is_file() else 0
         if size == 0:
-            raise OSError(f"Blender wrote nothing into {path}")
+            raise OSError(f"Blender wrote nothing to {path}")
         return size
 
-    def _scene(self, made: list[bpy.types.ID]) -> bpy.types.Scene:
+    def _scene(self, blocks: list[bpy.types.ID]) -> bpy.types.Scene:
         scene = bpy.data.scenes.new("Clay Delivery")
-        made.append(scene)
+        blocks.append(scene)
         scene.render.fps, scene.render.fps_base = self._rate
         return scene
 
     def _add_surface(
-        self, scene: bpy.types.Scene, made: list[bpy.types.ID], number: int, surface: Surface
+        self, scene: bpy.types.Scene, blocks: list[bpy.types.ID], number: int, surface: Surface
     ) -> None:
         mesh = triangle_mesh(self.name, surface)
-        item = _add_object(scene, made, self.name, mesh)
+        item = _add_object(scene, blocks, self.name, mesh)
         assert surface.colors is not None
         if self._kind == "usd":
             assert surface.velocities is not None
             _add_attribute(mesh, FILE_COLOR, "FLOAT_COLOR", "color", surface.colors)
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
-            _add_late(item, made, number, "FACE")
+            _add_delay(item, blocks, number, "FACE")
             return
-        # Alembic of Blender has no other colors, and no velocities.
+        # Blender's Alembic exporter supports neither other colors nor velocities.
         layer = mesh.attributes.new(FILE_COLOR, "BYTE_COLOR", "CORNER")
         corners = np.ascontiguousarray(surface.colors[surface.faces.ravel()], np.float32)
         layer.data.foreach_set("color", corners.ravel())
@@ -123,11 +123,11 @@ class FrameWriter:
     def _add_points(
         self,
         scene: bpy.types.Scene,
-        made: list[bpy.types.ID],
+        blocks: list[bpy.types.ID],
         number: int,
         particles: Sequence[ShownParticles],
     ) -> None:
-        """Add a point cloud whose nodes take it from a mesh: 4.5 can size no point cloud."""
+        """Add a point cloud made from a mesh by nodes: Blender 4.5 cannot resize a point cloud."""
         positions = np.concatenate([part.positions for part in particles])
         mesh = bpy.data.meshes.new("particles")
         source = bpy.data.objects.new("particles", mesh)
@@ -139,21 +139,21 @@ class FrameWriter:
         ):
             whole = np.concatenate(values) if isinstance(values, list) else values
             _add_attribute(mesh, name, kind, key, whole)
-        item = _add_object(scene, made, "points", bpy.data.pointclouds.new("points"))
-        modifier = _add_late(item, made, number, "POINT")
+        item = _add_object(scene, blocks, "points", bpy.data.pointclouds.new("points"))
+        modifier = _add_delay(item, blocks, number, "POINT")
         set_input(modifier, "Particles", source)
         set_input(modifier, "Radius", 0.5 * particles[0].spacing)
-        made += [source, mesh]
+        blocks += [source, mesh]
 
     def _export(self, scene: bpy.types.Scene, number: int, path: Path) -> None:
-        # The exporter writes what never changes as a default, which value clips do not read: so
-        # the frame before shows one triangle of the shape, and the frame itself all of it.
+        # The exporter writes constant values as defaults, which value clips ignore. Therefore the
+        # previous frame has only one triangle of the shape.
         scene.frame_start, scene.frame_end = number - 1, number
         scene.frame_set(number)
         with bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
             try:
                 if self._kind == "usd":
-                    _call(
+                    _call_exporter(
                         bpy.ops.wm.usd_export,
                         filepath=str(path),
                         check_existing=False,
@@ -167,7 +167,7 @@ class FrameWriter:
                         evaluation_mode="RENDER",
                     )
                 else:
-                    _call(
+                    _call_exporter(
                         bpy.ops.wm.alembic_export,
                         filepath=str(path),
                         check_existing=False,
@@ -187,7 +187,7 @@ class FrameWriter:
 
 def write_root(
     path: Path,
-    shown: Mapping[int, Path],
+    shapes: Mapping[int, Path],
     *,
     last: int,
     frames_per_second: float,
@@ -197,24 +197,24 @@ def write_root(
 
     Args:
         path: The .usda file.
-        shown: The file of the shape shown from each frame on, in ascending order.
-        last: The last frame.
-        frames_per_second: Of the scene [1/s].
-        meters_per_unit: Meters in a unit of the shapes.
+        shapes: File of the shape shown at each frame, in ascending order.
+        last: Last frame.
+        frames_per_second: Frame rate of the scene [1/s].
+        meters_per_unit: Unit of the shapes [m].
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
-    files = list(dict.fromkeys(shown.values()))
+    files = list(dict.fromkeys(shapes.values()))
     names = [f"@./{file.relative_to(path.parent).as_posix()}@" for file in files]
-    first = next(iter(shown))
-    # The time inside a clip may be any but one before its shape, and runs on while it is held.
-    active = ", ".join(f"({number}, {files.index(file)})" for number, file in shown.items())
+    first = next(iter(shapes))
+    # Clip time equals stage time: it must not precede the shape, and may continue after it.
+    active = ", ".join(f"({number}, {files.index(file)})" for number, file in shapes.items())
     text = f"""\
         #usda 1.0
         (
             defaultPrim = "Clay"
-            doc = "Clay, one file a shape"
+            doc = "Clay, one file per shape"
             endTimeCode = {last}
             framesPerSecond = {frames_per_second!r}
             metersPerUnit = {meters_per_unit!r}
@@ -243,7 +243,7 @@ def write_root(
 
 
 def triangle_mesh(name: str, surface: Surface) -> bpy.types.Mesh:
-    """A mesh of a surface's triangles, without attributes of its own."""
+    """Make a mesh of a surface's triangles, without colors or velocities."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(surface.vertices))
     mesh.loops.add(surface.faces.size)
@@ -257,20 +257,20 @@ def triangle_mesh(name: str, surface: Surface) -> bpy.types.Mesh:
 
 
 def _add_object(
-    scene: bpy.types.Scene, made: list[bpy.types.ID], name: str, data: bpy.types.ID
+    scene: bpy.types.Scene, blocks: list[bpy.types.ID], name: str, data: bpy.types.ID
 ) -> bpy.types.Object:
     item = bpy.data.objects.new(name, data)
-    made += [item, data]
+    blocks += [item, data]
     scene.collection.objects.link(item)
     return item
 
 
-def _add_late(
-    item: bpy.types.Object, made: list[bpy.types.ID], number: int, domain: str
+def _add_delay(
+    item: bpy.types.Object, blocks: list[bpy.types.ID], number: int, domain: str
 ) -> bpy.types.Modifier:
-    group = late_group(domain)
-    made.append(group)
-    modifier = item.modifiers.new("Late", "NODES")
+    group = delayed_group(domain)
+    blocks.append(group)
+    modifier = item.modifiers.new("Delay", "NODES")
     modifier.node_group = group
     set_input(modifier, "Frame", number)
     return modifier
@@ -281,16 +281,16 @@ def _add_attribute(mesh: bpy.types.Mesh, name: str, kind: str, key: str, values:
     layer.data.foreach_set(key, np.ascontiguousarray(values, np.float32).ravel())
 
 
-def _call(operator: Any, **options: Any) -> None:
-    """Call an exporter with those of the options that this Blender knows."""
+def _call_exporter(operator: Any, **options: Any) -> None:
+    """Call an exporter with the options that this version of Blender supports."""
     known = operator.get_rna_type().properties.keys()
     operator(**{name: value for name, value in options.items() if name in known})
 
 
-def _free_name(name: str) -> str:
-    """A name that no object and no mesh has, so that Blender leaves it as it is."""
-    wanted, count = name, 1
-    while wanted in bpy.data.objects or wanted in bpy.data.meshes:
+def _unused_name(name: str) -> str:
+    """A name that no object or mesh has, so that Blender does not change it."""
+    unused, count = name, 1
+    while unused in bpy.data.objects or unused in bpy.data.meshes:
         count += 1
-        wanted = f"{name}_{count}"
-    return wanted
+        unused = f"{name}_{count}"
+    return unused

@@ -102,7 +102,7 @@ def test_deliver_writes_files_and_tells_what_they_take(
     (cache_file,) = bpy.data.cache_files
     assert cache_file.filepath == "//alembic/frames/clay_000001.abc"
     assert main(["deliver", str(blend), "--output", str(tmp_path)]) == 1
-    assert "other files than a delivery" in capfd.readouterr().err
+    assert "files that are not part of a delivery" in capfd.readouterr().err
 
 
 def test_export_of_a_damaged_frame_is_refused(
