@@ -126,10 +126,10 @@ def test_command_renders_from_a_cache_elsewhere(
     assert main(["render", str(shot), *options]) == 3
     assert "Nothing is baked in" in capfd.readouterr().err
     assert main(["render", str(shot), *options, "--cache", str(tmp_path / "elsewhere")]) == 0
-    said = capfd.readouterr()
-    assert said.out.startswith("3 frames rendered, 0 kept.\nPictures: ")
+    captured = capfd.readouterr()
+    assert captured.out.startswith("3 frames rendered, 0 kept.\nImages: ")
     for number in (1, 2, 4):
-        assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in said.err
+        assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in captured.err
     assert main(["render", str(shot), "--frames", "1;2"]) == 2
     assert "'1;2' is not a range such as 1-120" in capfd.readouterr().err
 
