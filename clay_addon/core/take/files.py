@@ -166,8 +166,8 @@ def _numbered(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
 def _read_steps(path: Path) -> Steps:
     arrays = read_arrays(path, (*Steps.ARRAYS, "said"))
     try:
-        said = json.loads(arrays.pop("said").tobytes())
-        table = said["layout"]
+        metadata = json.loads(arrays.pop("said").tobytes())
+        table = metadata["layout"]
         layout = Layout(
             objects=tuple(table["objects"]),
             armatures=tuple((name, tuple(bones)) for name, bones in table["armatures"]),
@@ -180,6 +180,6 @@ def _read_steps(path: Path) -> Steps:
             whole[..., :3, :] = rows
             whole[..., 3, 3] = 1.0
             arrays[name] = whole
-        return Steps(layout, **arrays, events=said["events"])
+        return Steps(layout, **arrays, events=metadata["events"])
     except (ValueError, KeyError, TypeError) as error:
         raise CacheDamagedError(f"{path.name} is damaged ({error})") from error

@@ -157,13 +157,13 @@ class TakeFrames:
 
 def nearest(points: NDArray[np.floating], queries: NDArray[np.floating]) -> NDArray[np.int64]:
     """Index of the point nearest to each query, shape [Q]; `points` must not be empty."""
-    points = np.asarray(points, np.float64)
-    queries = np.asarray(queries, np.float64)
-    found = np.full(len(queries), -1)
-    extent = float(np.ptp(np.concatenate([points, queries]), axis=0).max())
-    size = max(extent / max(len(points), 1) ** (1 / 3), 1e-9)
+    known = np.asarray(points, np.float64)
+    targets = np.asarray(queries, np.float64)
+    found = np.full(len(targets), -1)
+    extent = float(np.ptp(np.concatenate([known, targets]), axis=0).max())
+    size = max(extent / max(len(known), 1) ** (1 / 3), 1e-9)
     while (left := np.flatnonzero(found < 0)).size:
-        found[left] = ParticleGrid(points, size).nearest(queries[left])
+        found[left] = ParticleGrid(known, size).nearest(targets[left])
         size *= 2.0
     return found
 
