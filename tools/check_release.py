@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Check that the extension's zips hold what they should and nothing else; exit 1 if not.
+"""Check the contents of the extension's zips before a release; exit 1 if anything is wrong.
 
-Run on the folder that ``tools/extension.py`` fills. Every file beside the wheels must be one of the
-repository's own, unaltered; the wheels must be those of the zip's platform, each under a licence
-that may be combined with the GPL; the index must tell the zips' true sizes and checksums.
+Run this on the output folder of ``tools/extension.py``. Besides wheels, each zip must contain
+exactly the product's files from the repository, unaltered. The wheels must be those for the zip's
+platform, under licenses that are compatible with the GPL. The index must have the actual sizes and
+checksums of the zips.
 """
 
 import argparse
@@ -22,7 +23,7 @@ from typing import Any
 
 from extension import MANIFEST, ROOT, BuildError, platform_here, run_tool, wheels_for
 
-# How wheels name licences, and what is meant. All of these may be combined with the GPL, version 3.
+# Licenses as named in wheels, with their SPDX identifiers. All are compatible with the GPL 3.
 LICENSES = {
     "Apache-2.0": "Apache-2.0",
     "BSD": "BSD-3-Clause",
@@ -32,14 +33,14 @@ LICENSES = {
     "MIT License": "MIT",
     "The MIT License (MIT)": "MIT",
 }
-# Licence files in wheels of parts that have terms of their own, whatever the wheel says as a whole.
-OWN_TERMS = {"cuda", "libmathdx", "nvrtc"}
+# License files of parts with separate terms, whatever the license of the whole wheel.
+SEPARATE_TERMS = {"cuda", "libmathdx", "nvrtc"}
 
 
 def source_files(manifest: dict[str, Any]) -> dict[str, Path]:
-    """The files that belong into a zip beside manifest and wheels, by their path in it.
+    """The files that belong in a zip besides manifest and wheels, by their path in the zip.
 
-    What is not under version control is no part of a release, even where it lies among the sources.
+    Files that are not under version control are not part of a release.
     """
     tracked = subprocess.run(
         ["git", "-C", str(ROOT), "ls-files", "-z"], capture_output=True, text=True, check=False
@@ -52,7 +53,7 @@ def source_files(manifest: dict[str, Any]) -> dict[str, Path]:
             for path in ROOT.rglob("*")
             if path.is_file() and path.suffix != ".pyc"
         ]
-    wanted = tuple(
+    included = tuple(
         pattern.removeprefix("!/")
         for pattern in manifest["build"]["paths_exclude_pattern"]
         if pattern.startswith("!/")
@@ -60,15 +61,15 @@ def source_files(manifest: dict[str, Any]) -> dict[str, Path]:
     return {
         name: ROOT / name
         for name in names
-        if any(name == part or (part.endswith("/") and name.startswith(part)) for part in wanted)
+        if any(name == part or (part.endswith("/") and name.startswith(part)) for part in included)
     }
 
 
 def license_of(wheel: bytes) -> tuple[str, list[str]]:
-    """What a wheel says of its licence.
+    """Read the license of a wheel.
 
     Returns:
-        Its own words, and the names of its parts that have terms of their own.
+        The license as named in the wheel, and the parts with separate terms.
     """
     with zipfile.ZipFile(io.BytesIO(wheel)) as archive:
         names = archive.namelist()
@@ -79,22 +80,22 @@ def license_of(wheel: bytes) -> tuple[str, list[str]]:
         for line in table.get_all("Classifier", [])
         if line.startswith("License :: ")
     ]
-    said = table["License-Expression"] or table["License"] or " and ".join(classifiers)
+    text = table["License-Expression"] or table["License"] or " and ".join(classifiers)
     parts = {Path(name).stem.partition("-")[0] for name in names if "/licenses/" in name}
-    # Some give the whole text; its first line is the name.
-    return (said or "no licence").splitlines()[0].strip(), sorted(parts & OWN_TERMS)
+    # Some wheels have the whole text, whose first line is the name.
+    return (text or "no license").splitlines()[0].strip(), sorted(parts & SEPARATE_TERMS)
 
 
 def check_zip(path: Path, platform: str, manifest: dict[str, Any]) -> Iterator[str]:
-    """Say what is wrong with one zip; print what wheels it holds."""
+    """Yield problems of a zip, and print its wheels."""
     try:
         archive = zipfile.ZipFile(path)
     except (OSError, zipfile.BadZipFile) as error:
-        yield f"it cannot be read ({error})"
+        yield f"cannot be read ({error})"
         return
     with archive:
-        if broken := archive.testzip():
-            yield f"{broken} in it is damaged"
+        if damaged := archive.testzip():
+            yield f"{damaged} is damaged"
             return
         names = {name for name in archive.namelist() if not name.endswith("/")}
         sources = source_files(manifest)
@@ -102,26 +103,29 @@ def check_zip(path: Path, platform: str, manifest: dict[str, Any]) -> Iterator[s
         for name in sorted((sources.keys() | wheels | {MANIFEST}) - names):
             yield f"{name} is missing"
         for name in sorted(names - sources.keys() - wheels - {MANIFEST}):
-            yield f"{name} does not belong in it, or is not under version control"
+            yield f"{name} does not belong in a release, or is not under version control"
         for name in sorted(names & sources.keys() - {MANIFEST}):
             if archive.read(name) != sources[name].read_bytes():
-                yield f"{name} differs from the repository's"
+                yield f"{name} differs from the repository"
         if MANIFEST in names:
             packed = tomllib.loads(archive.read(MANIFEST).decode("utf-8"))
             generated = packed.get("build", {}).get("generated", {})
             if packed["version"] != manifest["version"]:
-                yield f"its version is {packed['version']}, not {manifest['version']}"
+                yield f"the version is {packed['version']}, not {manifest['version']}"
             if generated.get("platforms") != [platform]:
-                yield f"its manifest is for {generated.get('platforms')}, not {platform}"
+                yield f"the manifest is for {generated.get('platforms')}, not {platform}"
             if {f"./{name}" for name in wheels} != set(generated.get("wheels", [])):
-                yield "its manifest names other wheels"
+                yield "the manifest lists other wheels"
         for name in sorted(wheels & names):
-            said, own_terms = license_of(archive.read(name))
-            if said not in LICENSES:
-                yield f"{name} is under {said!r}, which is not known to go with the GPL"
+            license_name, parts = license_of(archive.read(name))
+            if license_name not in LICENSES:
+                yield (
+                    f"{name} is under {license_name!r}, which is not known to be compatible with "
+                    "the GPL"
+                )
                 continue
-            note = f"; parts under terms of their own: {', '.join(own_terms)}" if own_terms else ""
-            print(f"    {Path(name).name}: {LICENSES[said]}{note}")
+            note = f"; parts under separate terms: {', '.join(parts)}" if parts else ""
+            print(f"    {Path(name).name}: {LICENSES[license_name]}{note}")
     try:
         run_tool("validate", str(path))
     except BuildError as error:
@@ -129,11 +133,11 @@ def check_zip(path: Path, platform: str, manifest: dict[str, Any]) -> Iterator[s
 
 
 def check_index(folder: Path, zips: list[Path]) -> Iterator[str]:
-    """Say what is wrong with ``index.json``, from which Blender installs and updates."""
+    """Yield problems of ``index.json``, from which Blender installs and updates."""
     try:
         entries = json.loads((folder / "index.json").read_text(encoding="utf-8"))["data"]
     except (OSError, ValueError, KeyError) as error:
-        yield f"it cannot be read ({error})"
+        yield f"cannot be read ({error})"
         return
     by_name = {entry["archive_url"].removeprefix("./"): entry for entry in entries}
     for name in sorted(by_name.keys() ^ {path.name for path in zips}):
@@ -142,11 +146,11 @@ def check_index(folder: Path, zips: list[Path]) -> Iterator[str]:
         if entry := by_name.get(path.name):
             checksum = f"sha256:{hashlib.sha256(path.read_bytes()).hexdigest()}"
             if (entry["archive_size"], entry["archive_hash"]) != (path.stat().st_size, checksum):
-                yield f"{path.name} has changed since"
+                yield f"{path.name} has changed since it was indexed"
 
 
 def main() -> int:
-    """Check what the command line names and say what is wrong.
+    """Check the folder named on the command line, and print all problems.
 
     Returns:
         The exit code.
@@ -158,7 +162,7 @@ def main() -> int:
         nargs="+",
         default=[],
         metavar="PLATFORM",
-        help="only these, such as linux-x64; 'here' is this machine's (default: all)",
+        help="check only these, such as linux-x64, or 'here' for this machine (default: all)",
     )
     options = parser.parse_args()
     manifest = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))
@@ -170,15 +174,15 @@ def main() -> int:
         name = f"{manifest['id']}-{manifest['version']}-{platform.replace('-', '_')}.zip"
         path = options.folder / name
         if not path.is_file():
-            problems.append(f"{name}: there is none in {options.folder}. Run `make extension`.")
+            problems.append(f"{name}: not found in {options.folder}. Run `make extension`.")
             continue
         zips.append(path)
         print(f"{name}: {path.stat().st_size / 1e6:.1f} MB")
         problems += [f"{name}: {problem}" for problem in check_zip(path, platform, manifest)]
     problems += [f"index.json: {problem}" for problem in check_index(options.folder, zips)]
-    strangers = {path.name for path in options.folder.glob("*.zip")} - {path.name for path in zips}
+    others = {path.name for path in options.folder.glob("*.zip")} - {path.name for path in zips}
     if not options.platforms:
-        problems += [f"{name}: it is not of this release" for name in sorted(strangers)]
+        problems += [f"{name}: not part of this release" for name in sorted(others)]
     for problem in problems:
         print(f"release: {problem}", file=sys.stderr)
     return 1 if problems else 0

@@ -1,13 +1,13 @@
 #!/bin/sh
 # SPDX-License-Identifier: GPL-3.0-or-later
-# Make the project's Python environment, or do nothing when it stands already.
+# Create the project's Python environment, or do nothing if it is up to date.
 #
-#   tools/environment.sh VENV            make or repair VENV
-#   tools/environment.sh --find 3.11     print a usable Python of that version; exit 1 when none is
+#   tools/environment.sh VENV            create or repair VENV
+#   tools/environment.sh --find 3.11     print a usable Python of that version; exit 1 if there is none
 #
-# PYTHON=/path/to/python overrides the search. Two stamps say how far the environment came: without
-# installed.stamp an installation was cut short, and it is made again from nothing; without
-# loads.stamp Blender's module has not been seen to load yet.
+# PYTHON=/path/to/python overrides the search. Two stamps record the progress: without
+# installed.stamp, an installation was interrupted, and the environment is created from scratch;
+# without loads.stamp, the bpy module has not been loaded successfully yet.
 set -eu
 
 VERSIONS='3.13 3.11'
@@ -18,8 +18,8 @@ print("%d.%d" % sys.version_info[:2], sys._base_executable)'
 say() { printf '%s\n' "$*"; }
 fail() { printf '\n%s\n' "$*" >&2; exit 1; }
 
-# The places a Python of version $1 may be, one a line: first the PATH, where a version manager's
-# shim may stand that runs nothing, then the folders of the usual version managers.
+# Print possible paths of a Python of version $1, one per line: first in the PATH, where a version
+# manager may have a shim that does not run, then in the folders of common version managers.
 candidates() {
     old_ifs=$IFS
     IFS=:
@@ -35,18 +35,18 @@ candidates() {
         "$home/.local/share/mise/installs/python/$1*/bin/python" \
         "/usr/bin/python$1" "/usr/local/bin/python$1" "/opt/python*$1*/bin/python$1" \
         "/opt/homebrew/bin/python$1"; do
-        # Unquoted: the pattern is to be expanded.
+        # Unquoted, so that the pattern is expanded.
         for file in $pattern; do say "$file"; done
     done
 }
 
-# Print the version and the true path of the Python at $1 if it can make an environment, else why it
-# cannot. The true path: a shim on the PATH runs different things in different folders.
+# Print the version and real path of the Python at $1 if it can create an environment, else the
+# reason why not. The real path is needed because a shim depends on the working directory.
 probe() {
     "$1" -c "$PROBE" 2>&1 | tail -n 1
 }
 
-# Print the first usable Python of version $1. Note every one that was tried on file $2.
+# Print the first usable Python of version $1. Append the others that were tried to the file $2.
 find_version() {
     candidates "$1" | while IFS= read -r file; do
         [ -x "$file" ] && [ ! -d "$file" ] || continue
@@ -78,10 +78,10 @@ advice() {
     say '  apt-get install python3.13-venv        (Debian 13, Ubuntu 25.04 and later)'
     say '  apt-get install python3.11-venv        (Debian 12)'
     say '  pyenv install 3.13                     (anywhere)'
-    say '  make ... PYTHON=/path/to/python3.13    (a Python that stands elsewhere)'
+    say '  make ... PYTHON=/path/to/python3.13    (a Python in another place)'
 }
 
-# Blender's module is linked to desktop libraries that a bare machine lacks.
+# The bpy module is linked to desktop libraries that are missing on a minimal system.
 package_of() {
     case $1 in
         libX11.so.6) say libx11-6 ;;
@@ -111,12 +111,12 @@ package_of() {
 missing_libraries() {
     site=$("$VENV/bin/python" -c 'import sysconfig; print(sysconfig.get_path("platlib"))')
     [ -d "$site/bpy" ] && command -v ldd >/dev/null || return 0
-    # A library that bpy brings along is found at run time through its loader, not by ldd alone.
+    # ldd does not find the libraries in bpy, which its loader finds at run time.
     find "$site/bpy" \( -name '__init__*.so' -o -path '*/bpy/lib/*.so*' \) -type f \
         -exec ldd {} + 2>/dev/null | awk '/=> not found/ { print $1 }' | sort -u |
         while IFS= read -r library; do
             case $library in
-                # What a maker's graphics driver brings; Blender does without.
+                # Parts of graphics drivers, which Blender does not require.
                 libcuda.* | libnv* | libamdhip* | libhip* | libze_*) continue ;;
             esac
             [ -e "$site/bpy/lib/$library" ] || say "$library"
@@ -131,34 +131,34 @@ check_bpy() {
     import_bpy && return 0
     libraries=
     ! grep -q 'cannot open shared object' "$VENV/import.log" || libraries=$(missing_libraries)
-    [ -n "$libraries" ] || fail "Blender's module (bpy) is installed but does not load:
+    [ -n "$libraries" ] || fail "The bpy module is installed but does not load:
 
 $(tail -n 5 "$VENV/import.log")"
     packages=
     for library in $libraries; do packages="$packages $(package_of "$library")"; done
-    # The graphics drivers are loaded by name when a picture is drawn: nothing is linked to them.
+    # ldd does not list graphics drivers, which are loaded by name for rendering.
     packages=$(printf '%s libegl1 libgl1-mesa-dri' "$packages" | tr -s ' \n' '\n\n' | sort -u | xargs)
     if [ "${CI:-}" = true ] && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-        say "Installing the system libraries that Blender's module needs: $packages"
+        say "Installing the system libraries that the bpy module needs: $packages"
         apt-get update -q >"$VENV/apt.log" 2>&1 || :
-        # Unquoted: one argument a package.
+        # Unquoted, for one argument per package.
         DEBIAN_FRONTEND=noninteractive apt-get install -y -q --no-install-recommends $packages \
             >>"$VENV/apt.log" 2>&1 </dev/null || fail "apt-get failed:
 
 $(tail -n 15 "$VENV/apt.log")"
         import_bpy && return 0
-        fail "Blender's module (bpy) still does not load:
+        fail "The bpy module still does not load:
 
 $(tail -n 5 "$VENV/import.log")"
     fi
-    fail "Blender's module (bpy) needs system libraries that this machine lacks:
+    fail "The bpy module needs system libraries that are missing on this machine:
 $(say "$libraries" | sed 's/^/  /')
 
 On Debian or Ubuntu, install them and run the same command again:
   apt-get install --no-install-recommends $packages"
 }
 
-# pip is quiet, so say from time to time that it still works.
+# pip runs quietly, so print a message from time to time.
 install() {
     log=$VENV/pip.log
     "$VENV/bin/python" -m pip install --quiet --disable-pip-version-check --no-input "$@" \
@@ -174,12 +174,12 @@ install() {
     result=0
     wait "$pip" || result=$?
     trap - INT TERM HUP
-    [ "$result" -eq 0 ] || fail "Installing failed. The end of what pip said ($log):
+    [ "$result" -eq 0 ] || fail "Installation failed. The last output of pip ($log):
 
 $(tail -n 15 "$log")"
 }
 
-# What the environment was made from: when any of it changes it is brought up to date.
+# What the environment was made from. It is updated if any of this changes.
 stamp_text() {
     say "$PWD/$VENV"
     say "$found"
@@ -199,7 +199,7 @@ unset PYTHONPATH PYTHONHOME
 export PIP_USER=0
 
 if [ -n "${PYTHON:-}" ]; then
-    # A bare name is looked up on the PATH.
+    # A name without a path is looked up in the PATH.
     found=$(command -v "$PYTHON" || :)
     [ -n "$found" ] || fail "PYTHON=$PYTHON: there is no such program."
     answer=$(probe "$found")
@@ -209,7 +209,7 @@ if [ -n "${PYTHON:-}" ]; then
 Python 3.13 (for Blender 5.2) or 3.11 (for Blender 4.5) is needed, with venv and ensurepip." ;;
     esac
 else
-    # What it was made with once is good enough, whatever a new search would find first.
+    # Keep the Python that the environment was made with, whatever a new search would find.
     found=$(sed -n 2p "$VENV/installed.stamp" 2>/dev/null || :)
 fi
 
@@ -220,35 +220,35 @@ whole loads && runs && exit 0
 
 if ! whole installed || ! runs; then
     if [ -z "$found" ] || [ ! -x "$found" ]; then
-        # Unquoted: one argument a version.
+        # Unquoted, for one argument per version.
         find_python $VERSIONS || fail "No usable Python was found. Python 3.13 (for Blender 5.2) or 3.11
-(for Blender 4.5) is needed, with its modules venv and ensurepip. Looked on the PATH, among the
-versions of pyenv, uv, asdf and mise, in /usr/bin, /usr/local/bin and /opt. Found, but of no use:
+(for Blender 4.5) is needed, with its modules venv and ensurepip. Searched the PATH, the versions of
+pyenv, uv, asdf and mise, /usr/bin, /usr/local/bin and /opt. Found, but not usable:
 ${notes:-  nothing}
 
 $(advice)"
     fi
     version=$("$found" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
-    # Without the stamp an installation was cut short; with the stamp of another folder or another
-    # Python its scripts point to the wrong place.
+    # Without the stamp, an installation was interrupted; with the stamp of another folder or Python,
+    # its scripts contain wrong paths.
     if ! runs || [ "$(sed -n 1,2p "$VENV/installed.stamp" 2>/dev/null)" != "$(stamp_text | sed -n 1,2p)" ]; then
         if [ -e "$VENV" ]; then
-            # Never delete a folder that merely has the name.
+            # Never delete a folder that only has the same name.
             [ -e "$VENV/pyvenv.cfg" ] || [ -e "$VENV/begun.stamp" ] || [ -z "$(ls -A "$VENV")" ] ||
-                fail "$VENV is there but is not a Python environment: move it away, or set VENV=name."
-            say "Making $VENV again: it was not finished, or was made for another place or Python."
+                fail "$VENV exists but is not a Python environment: move it away, or set VENV=name."
+            say "Recreating $VENV: it is incomplete, or was made for another path or Python."
         fi
-        say "Making the environment $VENV with Python $version ($found)."
+        say "Creating the environment $VENV with Python $version ($found)."
         mkdir -p "$VENV"
-        # First of all, and kept: what is left of a deletion cut short must be known for ours.
+        # Written first and never deleted, to recognize our folder after an interrupted deletion.
         : >"$VENV/begun.stamp"
         find "$VENV" -mindepth 1 -maxdepth 1 ! -name begun.stamp -exec rm -rf {} +
-        "$found" -m venv "$VENV" || fail "$found could not make an environment.
+        "$found" -m venv "$VENV" || fail "$found could not create an environment.
 
 $(advice)"
     fi
     rm -f "$VENV/installed.stamp" "$VENV/loads.stamp"
-    say 'Installing Blender as a Python module, Warp and the rest (0.6 GB the first time: some minutes).'
+    say 'Installing Blender as a Python module, Warp and others (0.6 GB the first time; takes minutes).'
     install 'setuptools>=77'
     install --no-build-isolation --editable '.[blender,develop]'
     stamp_text >"$VENV/installed.stamp"

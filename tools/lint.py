@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Check style with ruff, types with mypy and layers with import-linter; exit 1 when one complains.
+"""Check style with ruff, types with mypy and layers with import-linter; exit 1 if any check fails.
 
-The repository root is the package ``tactile_clay`` whatever the clone's folder is called, which
-mypy cannot know. So it is shown a folder ``build/types/tactile_clay`` with links to the parts.
+The repository root is the package ``tactile_clay``, whatever the name of its folder. For mypy, the
+script makes a folder ``build/types/tactile_clay`` with links to the parts of the package.
 """
 
 import os
@@ -16,10 +16,10 @@ PARTS = ("__init__.py", "clay_addon", "haptics", "solver", "tests")
 
 
 def link_package() -> Path:
-    """Make the folder of links.
+    """Make the folder with links to the parts of the package.
 
     Returns:
-        The folder that stands for the package, relative to the root.
+        The folder, relative to the root.
     """
     package = ROOT / "build" / "types" / "tactile_clay"
     package.mkdir(parents=True, exist_ok=True)
@@ -32,10 +32,10 @@ def link_package() -> Path:
 
 
 def run(name: str, arguments: list[str]) -> bool:
-    """Run one checker and show what it says, with the links' paths shortened.
+    """Run one check, and print its output with shortened paths if it fails.
 
     Returns:
-        Whether it was content.
+        Whether the check passed.
     """
     result = subprocess.run(
         [sys.executable, *arguments],
@@ -52,7 +52,7 @@ def run(name: str, arguments: list[str]) -> bool:
 
 
 def main() -> int:
-    """Run all checks, also after one has failed.
+    """Run all checks, even if one fails.
 
     Returns:
         The exit code.
@@ -64,8 +64,8 @@ def main() -> int:
         "mypy": ["-m", "mypy", str(package), "tools"],
         "imports": ["-c", CHECK_IMPORTS, "--no-cache"],
     }
-    contents = [run(name, arguments) for name, arguments in checks.items()]
-    return 0 if all(contents) else 1
+    passed = [run(name, arguments) for name, arguments in checks.items()]
+    return 0 if all(passed) else 1
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draw the meshes of the sculpting tools into ``presets/tools``; run it after changing a shape.
+"""Generate the meshes of the sculpting tools in ``presets/tools``; run this after changing a shape.
 
-All are in the tool's own frame: one brush radius is 1, the part that meets the clay is at the
-origin, +Z points away from the clay, and +Y along the stroke.
+All are in the tool's local coordinates: the brush radius is 1, the point of contact with the clay
+is at the origin, +Z points away from the clay, and +Y along the stroke.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ Mesh = tuple[Points, NDArray[np.int64]]
 
 
 def loft(rings: Sequence[Points], first: Points, last: Points) -> Mesh:
-    """Close a stack of rings, each of shape [N, 3], by a fan to a point at either end.
+    """Connect a stack of rings, shape [N, 3] each, and close both ends with a fan to a point.
 
-    Seen from the last point, the rings run counter-clockwise.
+    Seen from the last point, the rings run counterclockwise.
     """
     count = len(rings[0])
     vertices = np.concatenate([first[None], *rings, last[None]])
-    here = np.arange(count)
-    following = (here + 1) % count
+    current = np.arange(count)
+    following = (current + 1) % count
     end = len(vertices) - 1
-    faces = [np.column_stack([np.zeros(count, int), 1 + following, 1 + here])]
+    faces = [np.column_stack([np.zeros(count, int), 1 + following, 1 + current])]
     for ring in range(len(rings) - 1):
         low, high = 1 + ring * count, 1 + (ring + 1) * count
-        faces.append(np.column_stack([low + here, low + following, high + following]))
-        faces.append(np.column_stack([low + here, high + following, high + here]))
+        faces.append(np.column_stack([low + current, low + following, high + following]))
+        faces.append(np.column_stack([low + current, high + following, high + current]))
     top = 1 + (len(rings) - 1) * count
-    faces.append(np.column_stack([top + here, top + following, np.full(count, end)]))
+    faces.append(np.column_stack([top + current, top + following, np.full(count, end)]))
     return vertices, np.concatenate(faces)
 
 
@@ -46,22 +46,24 @@ def ring(outline: Points, height: float) -> Points:
 
 
 def circle(count: int, radius: float, *, squeeze: float = 1.0) -> Points:
-    """A circle about the origin, its y squeezed, shape [N, 2]."""
+    """A circle around the origin, scaled in y by `squeeze`, shape [N, 2]."""
     angle = 2 * np.pi * np.arange(count) / count
     return radius * np.column_stack([np.cos(angle), squeeze * np.sin(angle)])
 
 
 def rounded_square(count: int, half: tuple[float, float], power: float) -> Points:
-    """A superellipse |x|^p + |y|^p = 1 of given half sides, shape [N, 2]."""
+    """A superellipse |x|^p + |y|^p = 1, scaled to half side lengths, shape [N, 2]."""
     unit = circle(count, 1.0)
-    reach = (np.abs(unit) ** power).sum(1) ** (-1.0 / power)
-    return unit * reach[:, None] * np.array(half)
+    radius = (np.abs(unit) ** power).sum(1) ** (-1.0 / power)
+    return unit * radius[:, None] * np.array(half)
 
 
 def stacked(outline: Callable[[float], Points], profile: Sequence[tuple[float, float]]) -> Mesh:
-    """Loft outlines of a growing and shrinking size: pairs of size and height, poles at the ends.
+    """Loft outlines along Z.
 
-    The first and last size are 0.
+    Args:
+        outline: Outline of a given size.
+        profile: Pairs (size, height); the first and last size are 0.
     """
     rings = [ring(outline(size), height) for size, height in profile[1:-1]]
     poles = [np.array((0.0, 0.0, height)) for _, height in (profile[0], profile[-1])]
@@ -69,13 +71,13 @@ def stacked(outline: Callable[[float], Points], profile: Sequence[tuple[float, f
 
 
 def arc(center: tuple[float, float], radius: float, start: float, end: float, count: int) -> list:
-    """Pairs (size, height) along an arc; angles in degrees from straight out, up is positive."""
+    """Pairs (size, height) along an arc; angles in degrees above horizontal."""
     angle = np.radians(np.linspace(start, end, count))
     return [(center[0] + radius * np.cos(a), center[1] + radius * np.sin(a)) for a in angle]
 
 
 def grip(radius: float, base: float, top: float) -> list[tuple[float, float]]:
-    """A round handle that stands on a plate at a height, with a dome on its end."""
+    """Profile of a round handle from a base height, with a domed top."""
     waist = 0.8 * radius
     return [
         (radius, base),
@@ -86,7 +88,7 @@ def grip(radius: float, base: float, top: float) -> list[tuple[float, float]]:
 
 
 def finger() -> Mesh:
-    """A fingertip: round below, a little flatter on its pad's sides, with a straight shaft."""
+    """A fingertip: rounded, slightly flattened front to back, with a straight shaft."""
     profile = [
         (0.0, 0.0),
         *arc((0.0, 1.0), 1.0, -80, 0, 8),
@@ -99,7 +101,7 @@ def finger() -> Mesh:
 
 
 def palm() -> Mesh:
-    """A broad cushion with a faintly bulging sole and soft edges."""
+    """A broad cushion with a slightly convex underside and rounded edges."""
     sole = [(size, 0.06 * size**2) for size in (0.0, 0.28, 0.55, 0.78)]
     edge = arc((0.78, 0.26), 0.22, -75, 75, 7)
     back = [(0.55, 0.52), (0.28, 0.56), (0.0, 0.58)]
@@ -122,19 +124,19 @@ def ball() -> Mesh:
 
 
 def lying(mesh: Mesh, height: float) -> Mesh:
-    """Lay a mesh that stands along Z down along X, its axis at a height."""
+    """Rotate a mesh from the Z axis to the X axis, and raise it to a height."""
     vertices, faces = mesh
-    turned = np.column_stack([vertices[:, 2], -vertices[:, 1], vertices[:, 0] + height])
-    return turned, faces
+    rotated = np.column_stack([vertices[:, 2], -vertices[:, 1], vertices[:, 0] + height])
+    return rotated, faces
 
 
 def mirrored(half: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """A profile that is the same on both sides of height 0, from its upper half."""
+    """A profile symmetric about height 0, from its upper half."""
     return [*((size, -height) for size, height in reversed(half)), *half]
 
 
 def rolling_pin() -> Mesh:
-    """A barrel across the stroke, with a handle at either end."""
+    """A cylinder across the stroke, with a handle at either end."""
     half = [
         (1.0, 0.8),
         (1.0, 2.4),
@@ -148,10 +150,10 @@ def rolling_pin() -> Mesh:
 
 
 def paddle() -> Mesh:
-    """A flat plate to beat and smooth with, a grip on its back."""
+    """A flat plate for beating and smoothing, with a grip on its back."""
 
     def outline(size: float) -> Points:
-        # A grip is round, the plate a rounded oblong.
+        # The grip is round, the plate a rounded rectangle.
         if size <= 0.3:
             return circle(40, size)
         inset = 1.0 - size
@@ -165,16 +167,16 @@ def stamp() -> Mesh:
     """A round plate with a star in relief, and a grip."""
     count = 40
     angle = 2 * np.pi * np.arange(count) / count
-    # Each of the five points has eight steps: tip to notch and back, on straight lines.
+    # Each of the five points has eight steps, from tip to notch and back on straight lines.
     step = np.arange(count) % 8
     along = np.minimum(step, 8 - step) / 4
     tip, notch = np.array((0.78, 0.0)), 0.36 * np.array((np.cos(np.pi / 5), np.sin(np.pi / 5)))
     straight = tip + along[:, None] * (notch - tip)
-    reach = np.linalg.norm(straight, axis=1)
-    turn = np.arctan2(straight[:, 1], straight[:, 0])
-    way = np.where(step <= 4, turn, -turn) + 2 * np.pi / 5 * ((np.arange(count) + 3) // 8)
-    way += np.pi / 2
-    star = reach[:, None] * np.column_stack([np.cos(way), np.sin(way)])
+    radius = np.linalg.norm(straight, axis=1)
+    offset = np.arctan2(straight[:, 1], straight[:, 0])
+    polar = np.where(step <= 4, offset, -offset) + 2 * np.pi / 5 * ((np.arange(count) + 3) // 8)
+    polar += np.pi / 2
+    star = radius[:, None] * np.column_stack([np.cos(polar), np.sin(polar)])
 
     def round_ring(size: float) -> Points:
         return size * np.column_stack([np.cos(angle + np.pi / 2), np.sin(angle + np.pi / 2)])
@@ -186,38 +188,38 @@ def stamp() -> Mesh:
 
 
 def knife() -> Mesh:
-    """A thin blade along the stroke with a ground edge, and a handle.
+    """A thin blade along the stroke with a sharp edge, and a handle.
 
-    Stations along Y, each a strip of left and right points from the edge up.
+    Made of outlines at stations along Y, each from the edge up the right and down the left side.
     """
     heights = (0.35, 2.0, 4.0, 5.6, 5.8, 6.4, 7.4, 8.0, 8.2)
     halves = (0.05, 0.05, 0.05, 0.05, 0.22, 0.26, 0.26, 0.22, 0.10)
     stations = np.array((-1.0, -0.92, -0.7, -0.35, 0.0, 0.35, 0.7, 0.92, 1.0))
     thinner = np.array((0.25, 0.75, 1.0, 1.0, 1.0, 1.0, 1.0, 0.75, 0.25))
     outlines = []
-    for y, share in zip(stations, thinner, strict=True):
+    for y, scale in zip(stations, thinner, strict=True):
         lifted = 0.18 * abs(y) ** 4
         handle = 0.55 * y
         right = [
-            (share * half, y if z < 5.7 else handle, lifted + z if z < 1 else z)
+            (scale * half, y if z < 5.7 else handle, lifted + z if z < 1 else z)
             for z, half in zip(heights, halves, strict=True)
         ]
-        left = [(-x, yy, z) for x, yy, z in reversed(right)]
+        left = [(-x, side_y, z) for x, side_y, z in reversed(right)]
         outlines.append(np.array([(0.0, y, lifted), *right, *left]))
     return strips(outlines)
 
 
 def strips(outlines: Sequence[Points]) -> Mesh:
-    """Close a row of outlines that are alike on both sides of x = 0, the first point on it."""
+    """Connect and close a row of outlines symmetric about x = 0, whose first point is at x = 0."""
     count = len(outlines[0])
     vertices = np.concatenate(outlines)
-    here = np.arange(count)
-    following = (here + 1) % count
+    current = np.arange(count)
+    following = (current + 1) % count
     faces = []
     for station in range(len(outlines) - 1):
         low, high = station * count, (station + 1) * count
-        faces.append(np.column_stack([low + here, high + following, low + following]))
-        faces.append(np.column_stack([low + here, high + here, high + following]))
+        faces.append(np.column_stack([low + current, high + following, low + following]))
+        faces.append(np.column_stack([low + current, high + current, high + following]))
     cap = [(0, 1, count - 1)]
     for k in range(1, count // 2):
         cap += [(k, k + 1, count - k), (k + 1, count - k - 1, count - k)]
@@ -227,21 +229,21 @@ def strips(outlines: Sequence[Points]) -> Mesh:
 
 
 def wire() -> Mesh:
-    """A taut wire across the stroke, a bead at either end to hold it by."""
-    thin = 0.04
+    """A taut wire across the stroke, with a bead at either end to hold it."""
+    radius = 0.04
     half = [
-        (thin, 0.9),
-        (thin, 4.0),
+        (radius, 0.9),
+        (radius, 4.0),
         *arc((0.0, 4.28), 0.28, -75, 75, 9),
         (0.0, 4.56),
     ]
-    return lying(stacked(lambda size: circle(12, size), mirrored(half)), thin)
+    return lying(stacked(lambda size: circle(12, size), mirrored(half)), radius)
 
 
 def loop() -> Mesh:
-    """A ribbon bent to a ring that faces the stroke, on a handle."""
+    """A ribbon bent into a ring that faces the stroke, on a handle."""
     count, width, half = 40, 0.22, 0.04
-    # Outward and along the stroke: both edges of the ribbon are sharp.
+    # Cross section (outward, along the stroke); both edges of the ribbon are sharp.
     section = ((0.0, width), (half, 0.5 * width), (half, -0.5 * width),
                (0.0, -width), (-half, -0.5 * width), (-half, 0.5 * width))  # fmt: skip
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count - np.pi / 2
@@ -261,16 +263,16 @@ def loop() -> Mesh:
             a, b = index(turn, part), index(turn, part + 1)
             c, d = index(turn + 1, part + 1), index(turn + 1, part)
             faces += [(a, b, c), (a, c, d)]
-    # The handle grows out of the gap that is left on top.
+    # The handle is attached to the gap at the top.
     gap = [index(turn, 2) for turn in range(top[0], top[-1] + 2)]
     gap += [index(turn, 1) for turn in range(top[-1] + 1, top[0] - 1, -1)]
     start = vertices[gap]
-    way = np.arctan2(start[:, 1] / width, start[:, 0] / np.abs(start[:, 0]).max())
+    angles = np.arctan2(start[:, 1] / width, start[:, 0] / np.abs(start[:, 0]).max())
     rings = [gap]
     extra: list[Points] = []
     for radius, height in ((0.18, 2.3), (0.2, 2.6), (0.26, 3.6), (0.24, 4.6), (0.14, 4.75)):
         rings.append([len(vertices) + len(extra) + k for k in range(len(gap))])
-        extra += [np.array((radius * np.cos(w), radius * np.sin(w), height)) for w in way]
+        extra += [np.array((radius * np.cos(a), radius * np.sin(a), height)) for a in angles]
     pole = len(vertices) + len(extra)
     extra.append(np.array((0.0, 0.0, 4.8)))
     for low, high in pairwise(rings):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bake: simulating a scene frame by frame into its cache."""
+"""Baking: simulating a scene frame by frame into its cache."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bake: simulate a scene frame by frame into its cache; stop and resume at any moment."""
+"""Baking a scene frame by frame into its cache; a bake can be stopped and resumed at any time."""
 
 from __future__ import annotations
 
@@ -52,21 +52,21 @@ __all__ = [
 
 @dataclass(frozen=True)
 class BakeProgress:
-    """How far a bake is."""
+    """Progress of a bake."""
 
     frame: int
     """The frame just finished."""
     done: int
-    """Frames done, of `total`."""
+    """Number of frames done, out of `total`."""
     total: int
-    """Frames in the range."""
+    """Number of frames in the range."""
     seconds_left: float | None
-    """Time the rest will take [s]; None while that is unknown."""
+    """Estimated remaining time [s]; None while unknown."""
 
 
 @dataclass(frozen=True)
 class BakeResult:
-    """What a bake did."""
+    """Result and statistics of a bake."""
 
     directory: Path
     """The cache folder."""
@@ -75,36 +75,36 @@ class BakeResult:
     end: int
     """Last frame of the range."""
     baked: int
-    """Frames that were simulated and written."""
+    """Number of frames simulated and written."""
     kept: int
-    """Frames that were there already."""
+    """Number of frames that already existed."""
     cancelled: bool
-    """Whether it was stopped before the end; what is baked stays."""
+    """Whether the bake was stopped before the end; its frames are kept."""
     particle_count: int
     """Number of particles."""
     device: str
-    """Where it was computed."""
+    """Device of the computation."""
     settings: dict[str, object]
-    """The solver's settings."""
+    """Settings of the solver."""
     seconds: float
-    """Time it took [s]."""
+    """Duration of the bake [s]."""
     median_frame_milliseconds: float | None
-    """Median time a frame took to simulate [ms]; None if none was."""
+    """Median simulation time of a frame [ms]; None if no frame was simulated."""
     volume_error: float | None
     """Largest mean compression of the clay in any frame, as a fraction."""
     max_penetration: float | None
-    """Deepest that a particle lay inside a collider [m]."""
+    """Largest depth of a particle inside a collider [m]."""
     overflow: int
-    """Neighbors that found no free slot in the solver."""
+    """Number of neighbors without a free slot in the solver."""
     quarantined: int
-    """Times a particle was held because its state was not finite."""
+    """Number of times a particle was held because its state was not finite."""
     warnings: tuple[str, ...] = ()
-    """What the user should know about the result."""
+    """Warnings about the result for the user."""
 
 
 @dataclass
 class _BakeTally:
-    """Figures gathered while baking."""
+    """Statistics collected during a bake."""
 
     written: int = 0
     seconds: list[float] = field(default_factory=list)
@@ -129,17 +129,17 @@ def bake(
     """Bake a scene's clay to its cache.
 
     Args:
-        context: Its scene is baked; its current frame is the same afterwards.
-        start: First frame, the rest state; the scene's setting where not given.
-        end: Last frame; the scene's setting where not given.
-        directory: Cache folder; the scene's setting where not given.
-        resume: Keep the frames that are there and go on at the first missing one.
-        device: ``auto``, ``cpu`` or ``cuda:0``; the preferences' where not given.
-        replace_other: Bake over a cache that belongs to another .blend or scene.
+        context: Its scene is baked; the current frame is restored afterward.
+        start: First frame, the rest state; by default from the scene's settings.
+        end: Last frame; by default from the scene's settings.
+        directory: Cache folder; by default from the scene's settings.
+        resume: Whether to keep existing frames and continue at the first missing one.
+        device: ``auto``, ``cpu`` or ``cuda:0``; by default from the preferences.
+        replace_other: Whether to overwrite a cache that belongs to another .blend or scene.
         progress: Called after each frame; the bake stops if it returns False.
 
     Raises:
-        BakeStaleError: `resume`, but the scene has changed since the bake.
+        BakeStaleError: With `resume`, the scene has changed since the bake.
         BakeError: The scene or the range cannot be baked.
         CacheError: The cache folder cannot be written to.
     """
@@ -171,10 +171,10 @@ def bake_steps(
     device: str | None = None,
     replace_other: bool = False,
 ) -> Generator[BakeProgress, bool | None, BakeResult]:
-    """The same as `bake`, as a generator that yields after each frame.
+    """Bake as `bake` does, in a generator that yields after each frame.
 
-    Sending True stops it: the frames so far are kept, with a checkpoint to resume from. Closing
-    it does the same. The scene's frame is put back either way.
+    Sending True or closing the generator stops the bake; the frames so far are kept, with a
+    checkpoint to resume from. The scene's current frame is restored in any case.
     """
     try:
         clay_activity.check_free()
@@ -204,7 +204,7 @@ def _bake_frames(
         if abs(number) > MAX_FRAME:
             raise BakeError(NO_SUCH_FRAME.format(number))
     cache = bake_cache(scene, directory)
-    # Take up what was done to the points since the last change of frame.
+    # Account for changes to the points since the last change of frame.
     refresh(scene)
     previous = shown_moment(scene)
     tally = _BakeTally()
@@ -240,15 +240,15 @@ def _bake_frames(
                                 break
                     simulation.measure_hands(context.evaluated_depsgraph_get())
                     tally.warnings += simulation.warnings()
-                    if simulation.edited is not None:
+                    if simulation.edited_clay is not None:
                         _keep_colors(scene, simulation, cache)
                     cache.write_meta(replace(meta, statistics=_statistics(tally, meta)))
         except (SimulationError, WheelError) as error:
             raise BakeError(str(error)) from error
         except ReferenceError as error:
             raise BakeError(
-                "Something that is baked was deleted, or replaced by Undo, while the bake ran. The "
-                "frames so far are kept; Resume goes on."
+                "An object in the bake was deleted, or replaced by Undo, during the bake. The "
+                "frames so far are kept; Resume continues."
             ) from error
         finally:
             # Undo replaces the scene too.
@@ -276,9 +276,9 @@ def _bake_frames(
 
 
 def _keep_colors(scene: bpy.types.Scene, simulation: Simulation, cache: Cache) -> None:
-    """Give the clay the colors it has at the end: a bake has one for each particle."""
-    assert simulation.edited is not None
-    colors = simulation.edited.colors
+    """Store the final colors of the clay: a bake has one color per particle for all frames."""
+    assert simulation.edited_clay is not None
+    colors = simulation.edited_clay.colors
     cache.write_colors(colors)
     for part, rows in zip(simulation.parts, simulation.parts.split(colors), strict=True):
         write_colors(scene.objects[part.name], rows)
@@ -292,7 +292,7 @@ def _make_meta(
     end: int,
     device: str,
 ) -> Meta:
-    # Different devices and versions of Warp round differently, so they don't share a bake.
+    # Devices and Warp versions differ in rounding, so they do not share a bake.
     import warp
 
     computed_by = f"{device.partition(':')[0]}, Warp {warp.__version__}"
@@ -316,7 +316,7 @@ def _simulate(
     missing: list[int],
     tally: _BakeTally,
 ) -> Generator[BakeProgress, None, None]:
-    """Run the solver from the nearest checkpoint to the end, and write what is missing."""
+    """Run the solver from the nearest checkpoint to the end, and write the missing frames."""
     scene = simulation.scene
     scene.frame_set(meta.start)
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -326,30 +326,30 @@ def _simulate(
     total = len(known) + len(missing)
     at = restore_checkpoint(simulation, cache, meta, missing[0])
     checkpoints = Checkpoints(simulation, cache, meta, at)
-    felt = BakeTouch(simulation, cache, meta)
-    tally.warnings = felt.warnings
+    touch = BakeTouch(simulation, cache, meta)
+    tally.warnings = touch.warnings
     if missing[0] == meta.start:
-        felt.after(meta.start, record=True)
+        touch.after(meta.start, record=True)
         _write_frame(simulation, cache, meta, meta.start, simulation.feed(depsgraph), tally)
         yield BakeProgress(meta.start, 1, total, None)
     try:
         for number in range(at + 1, last + 1):
             began = time.perf_counter()
-            inputs = simulation.reach(number, steps=True)
-            # Before the frame itself, which counts as done once it is there.
-            felt.after(number, record=number not in known)
+            inputs = simulation.advance_to(number, step_solver=True)
+            # Before the frame itself, which counts as done once its file exists.
+            touch.after(number, record=number not in known)
             if number not in known:
                 _write_frame(simulation, cache, meta, number, inputs, tally)
             checkpoints.after(number)
             tally.seconds.append(time.perf_counter() - began)
             _note_diagnostics(simulation, tally)
-            # The first frame compiles the kernels, so it says nothing of the others.
-            pace = tally.seconds[1:]
-            left = (last - number) * sum(pace) / len(pace) if pace else None
+            # The first frame is not representative, since it compiles the kernels.
+            durations = tally.seconds[1:]
+            left = (last - number) * sum(durations) / len(durations) if durations else None
             yield BakeProgress(number, len(known) + tally.written, total, left)
     except GeneratorExit:
-        # Stopped between two frames. After an error, or an interrupt in the middle of a step, the
-        # solver's state is not one to resume from.
+        # Stopped between two frames. After an error, or an interrupt in the middle of a step, no
+        # checkpoint is written, because the solver's state may be invalid.
         checkpoints.close()
         raise
     checkpoints.close()
@@ -362,8 +362,8 @@ def _write_frame(
     bad = int((~np.isfinite(positions).all(1)).sum())
     if bad:
         raise SimulationError(
-            f"{bad} particles were no longer finite at frame {number}. The frames before are "
-            "kept. Use more substeps."
+            f"{bad} particles were no longer finite at frame {number}. Earlier frames are kept. "
+            "Use more substeps."
         )
     cache.write_frame(Frame(number, positions, simulation.velocities(), inputs), meta)
     tally.written += 1
@@ -371,12 +371,12 @@ def _write_frame(
 
 def _note_diagnostics(simulation: Simulation, tally: _BakeTally) -> None:
     assert simulation.solver is not None
-    figures = simulation.solver.diagnostics()
-    tally.volume_errors.append(figures.volume_error)
-    tally.penetrations.append(figures.max_penetration)
-    # After edits the solver is built again and counts from 0.
-    tally.overflow = max(tally.overflow, figures.overflow)
-    tally.quarantined = max(tally.quarantined, figures.quarantined)
+    diagnostics = simulation.solver.diagnostics()
+    tally.volume_errors.append(diagnostics.volume_error)
+    tally.penetrations.append(diagnostics.max_penetration)
+    # After edits the solver is rebuilt and counts from 0 again.
+    tally.overflow = max(tally.overflow, diagnostics.overflow)
+    tally.quarantined = max(tally.quarantined, diagnostics.quarantined)
 
 
 def _statistics(tally: _BakeTally, meta: Meta) -> dict[str, float]:
@@ -393,7 +393,7 @@ def _statistics(tally: _BakeTally, meta: Meta) -> dict[str, float]:
 
 def _warnings(scene: bpy.types.Scene, tally: _BakeTally) -> tuple[str, ...]:
     warnings = [
-        f"{item.name!r} still plays the frames packed in the .blend; pack again, or unpack, to see "
+        f"{item.name!r} still plays the frames packed in the .blend; pack again or unpack to see "
         "this bake."
         for item in clay_objects(scene)
         if is_packed(item)
@@ -401,15 +401,15 @@ def _warnings(scene: bpy.types.Scene, tally: _BakeTally) -> tuple[str, ...]:
     played = delivered_object(scene)
     if played is not None:
         warnings.append(
-            f"{played.name!r} still plays what was delivered before; press Bake to USD again, or "
-            "Show Clay Again, to see this bake."
+            f"{played.name!r} still plays the files delivered before; press Bake to USD again or "
+            "Show Clay Again to see this bake."
         )
     scale = meters_per_unit(scene)
-    pull = to_meters(scene, scene.gravity.length)
-    if scene.use_gravity and scale != 1.0 and 0.0 < pull < 1.0:
+    gravity = to_meters(scene, scene.gravity.length)
+    if scene.use_gravity and scale != 1.0 and 0.0 < gravity < 1.0:
         warnings.append(
-            f"Gravity is only {pull:.2g} m/s² at the scene's unit scale of {scale:g}; the earth's "
-            f"is {from_meters(scene, 9.81):.4g} there (Scene > Gravity)."
+            f"Gravity is only {gravity:.2g} m/s² at the scene's unit scale of {scale:g}; set it to "
+            f"{from_meters(scene, 9.81):.4g} for Earth's gravity (Scene > Gravity)."
         )
     return tuple(warnings)
 
@@ -420,7 +420,7 @@ def free(
     *,
     replace_other: bool = False,
 ) -> int:
-    """Remove a scene's bake, show the rest state, and return how many bytes that freed.
+    """Remove a scene's bake, show the rest state, and return the size of the bake [bytes].
 
     Raises:
         BakeError: The bake belongs to another .blend or scene.

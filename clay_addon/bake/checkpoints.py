@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checkpoints of the solver, from which a bake goes on with the very same frames."""
+"""Checkpoints of the solver: a bake resumed from one has exactly the same frames."""
 
 from __future__ import annotations
 
@@ -11,41 +11,48 @@ from ..core.storage.cache import Cache, CacheError, Meta
 from ..simulate.simulation import Simulation
 
 CHECKPOINT_INTERVAL = 10
-"""Fewest frames from one checkpoint to the next."""
+"""Minimum number of frames between checkpoints."""
 
 
 class Checkpoints:
-    """Writes the solver's state now and then, so that resuming loses little time."""
+    """Writes the solver's state regularly, so that resuming takes little time.
 
-    def __init__(self, simulation: Simulation, cache: Cache, meta: Meta, at: int) -> None:
+    Args:
+        simulation: The running simulation.
+        cache: Cache of the bake.
+        meta: Metadata of the bake.
+        first: Frame at which the simulation starts.
+    """
+
+    def __init__(self, simulation: Simulation, cache: Cache, meta: Meta, first: int) -> None:
         self._simulation = simulation
         self._cache = cache
         self._meta = meta
         self._interval = CHECKPOINT_INTERVAL
-        self._last = self._reached = at
+        self._last = self._reached = first
 
     def after(self, number: int) -> None:
-        """A frame is done: write a checkpoint if one is due."""
+        """Write a checkpoint after a frame, if one is due."""
         self._reached = number
         if number - self._last >= self._interval:
             self._write()
 
     def close(self) -> None:
-        """Write one for the last frame that was done."""
+        """Write a checkpoint after the last frame done."""
         if self._reached > self._last:
             self._write()
 
     def _write(self) -> None:
         snapshot = self._simulation.snapshot()
         size = self._cache.write_checkpoint(self._reached, snapshot, self._meta)
-        # So that the checkpoints never take more room than the frames.
+        # Checkpoints should never take more space than the frames.
         frame_size = max(1, 24 * self._meta.particle_count)
         self._interval = max(CHECKPOINT_INTERVAL, math.ceil(size / frame_size))
         self._last = self._reached
 
 
 def restore_checkpoint(simulation: Simulation, cache: Cache, meta: Meta, first_missing: int) -> int:
-    """Bring the solver as near to the first missing frame as checkpoints allow."""
+    """Restore the last usable checkpoint before the first missing frame, and return its frame."""
     scene = simulation.scene
     for number in reversed(cache.checkpoints()):
         if not meta.start < number < first_missing:
@@ -56,7 +63,7 @@ def restore_checkpoint(simulation: Simulation, cache: Cache, meta: Meta, first_m
             simulation.feed(bpy.context.evaluated_depsgraph_get())
             simulation.restore(snapshot)
         except (CacheError, ValueError, KeyError):
-            # An earlier checkpoint, or the rest state, leads to the same frames.
+            # An earlier checkpoint or the rest state results in the same frames.
             continue
         return number
     scene.frame_set(meta.start)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a bake may start or go on: its folder, whose it is, and what has changed since."""
+"""Checks before a bake starts or resumes: its folder, its owner, and changes to the scene."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from ..simulate.simulation import Simulation
 
 
 class BakeError(TactileClayError):
-    """A bake cannot start or go on; the message says why and what to do."""
+    """A bake cannot start or continue; the message says why and what to do."""
 
 
 class BakeStaleError(BakeError):
-    """The scene is no longer what the bake was made from."""
+    """The scene has changed since the bake."""
 
 
 def bake_cache(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None) -> Cache:
-    """The cache that a bake of a scene goes into.
+    """The cache for a bake of a scene.
 
     Raises:
-        BakeError: It has no usable folder; see `resolve_directory`.
+        BakeError: The scene has no usable cache folder; see `resolve_directory`.
     """
     try:
         return Cache(resolve_directory(scene, directory))
@@ -36,7 +36,11 @@ def bake_cache(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None 
 
 
 def check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) -> None:
-    """Refuse to touch a take, or a bake that another .blend or scene still uses."""
+    """Refuse to overwrite a take, or a bake that another .blend or scene still uses.
+
+    Raises:
+        BakeError: The cache holds such a take or bake.
+    """
     if replace_other or not cache.exists():
         return
     try:
@@ -46,29 +50,32 @@ def check_owner(scene: bpy.types.Scene, cache: Cache, *, replace_other: bool) ->
     owner = meta.owner
     if meta.is_take:
         raise BakeError(
-            f"The cache folder {cache.directory} holds a recorded take. Bake Again bakes it "
-            "elsewhere; for a bake of its own choose another cache folder, so that the take is "
-            "not lost."
+            f"The cache folder {cache.directory} holds a recorded take, which would be lost. Press "
+            "Bake Again to bake the take, or choose another cache folder."
         )
     blend, _, scene_name = owner.rpartition("|")
     path = cache.directory / blend
     if not blend or not path.exists():
         return
-    here = bpy.data.filepath
-    same_file = bool(here) and Path(here).exists() and path.samefile(here)
+    current = bpy.data.filepath
+    same_file = bool(current) and Path(current).exists() and path.samefile(current)
     if same_file and (scene_name == scene.name or scene_name not in bpy.data.scenes):
         return
     raise BakeError(
         f"The cache folder {cache.directory} holds the bake of "
-        f"{path.name if not same_file else f'scene {scene_name!r}'}. Choose another cache folder, "
-        "so that it is not lost."
+        f"{path.name if not same_file else f'scene {scene_name!r}'}, which would be lost. Choose "
+        "another cache folder."
     )
 
 
 def check_resume(
     scene: bpy.types.Scene, simulation: Simulation, cache: Cache, meta: Meta
 ) -> dict[int, Frame]:
-    """The whole frames to go on from, if the scene is still what it was."""
+    """The intact frames to resume from.
+
+    Raises:
+        BakeStaleError: The scene has changed since the bake, or the bake is damaged.
+    """
     try:
         old = cache.meta()
         if old.start != meta.start:
@@ -82,41 +89,41 @@ def check_resume(
             f"The bake in {cache.directory} is stale: {change}. Bake again to start over, or undo "
             "the change and resume."
         )
-    return cache.whole_frames(meta.start, meta.end)
+    return cache.intact_frames(meta.start, meta.end)
 
 
 def compare(
     scene: bpy.types.Scene, simulation: Simulation, cache: Cache, settings: Mapping[str, str]
 ) -> str:
-    """What has changed in the scene since it was baked, in words; empty where nothing has.
+    """Describe what has changed in the scene since the bake; empty if nothing has.
 
-    Moves the scene through the baked frames, to see what colliders and hands do there, and leaves
-    it at the last one.
+    Moves the scene through the baked frames to compare the motion of colliders and hands, and
+    leaves it at the last one.
 
     Raises:
         CacheError: There is no bake, or its meta.json is damaged.
-        SimulationError: A collider does what the solver cannot follow, or a hand is gone.
+        SimulationError: A collider has changed in an unsupported way, or a hand is missing.
     """
     meta = cache.meta()
     if meta.is_take:
         return ""
     changed = changed_subjects(meta, settings)
     if changed:
-        return f"since then changed: {', '.join(changed)}"
-    for number, frame in cache.whole_frames(meta.start, meta.end).items():
+        return f"the scene has changed: {', '.join(changed)}"
+    for number, frame in cache.intact_frames(meta.start, meta.end).items():
         if number == meta.start:
             scene.frame_set(number)
             inputs = simulation.feed(bpy.context.evaluated_depsgraph_get())
         else:
-            inputs = simulation.reach(number, steps=False)
+            inputs = simulation.advance_to(number, step_solver=False)
         if inputs != frame.inputs:
-            what = simulation.moving_parts()
-            return f"since then the {what} motion changed, first at frame {number}"
+            parts = simulation.moving_parts()
+            return f"the {parts} motion changed, first at frame {number}"
     return ""
 
 
 def changed_subjects(meta: Meta, digests: Mapping[str, str]) -> list[str]:
-    """Subjects whose digest differs from what the bake was made with; none for a take."""
+    """Subjects whose digest has changed since the bake; none for a take."""
     if meta.is_take:
         return []
     return [name for name, value in digests.items() if meta.settings.get(name) != value]

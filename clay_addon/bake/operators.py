@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake, Resume and Free as operators, with progress and Esc in the interface."""
+"""Operators to bake, resume and free, with progress in the interface and Esc to stop."""
 
 from collections.abc import Generator
 
@@ -14,9 +14,9 @@ from .bake import BakeProgress, BakeResult, bake_steps, free
 
 
 class _BakeOperator(SteppedOperator[BakeProgress, BakeResult]):
-    """What Bake and Resume share."""
+    """Base of Bake and Resume."""
 
-    stopped_text = "Stopped. The frames so far are kept; Resume goes on."
+    stopped_text = "Stopped. The frames so far are kept; Resume continues."
     _resume = False
 
     def begin(self, context: bpy.types.Context) -> Generator[BakeProgress, bool | None, BakeResult]:
@@ -24,7 +24,7 @@ class _BakeOperator(SteppedOperator[BakeProgress, BakeResult]):
         return bake_steps(context, resume=self._resume)
 
     def status(self, step: BakeProgress) -> str:
-        """Frame and time left."""
+        """Current frame and remaining time."""
         return (
             f"Baking clay: frame {step.frame}, {step.done} of {step.total}, "
             f"{duration_text(step.seconds_left)} left   Esc: stop"
@@ -39,7 +39,7 @@ class _BakeOperator(SteppedOperator[BakeProgress, BakeResult]):
         playback.refresh(context.scene)
 
     def report_result(self, result: BakeResult) -> None:
-        """Say how many frames were baked, and all warnings."""
+        """Report the number of frames baked, and all warnings."""
         for warning in result.warnings:
             self.report({"WARNING"}, warning)
         self.report(
@@ -49,7 +49,7 @@ class _BakeOperator(SteppedOperator[BakeProgress, BakeResult]):
 
 
 class CLAY_OT_bake(_BakeOperator, bpy.types.Operator):  # noqa: N801
-    """Simulate the clay over the frame range, starting over; Esc stops and keeps what is done"""
+    """Simulate the clay over the frame range from the start; Esc stops and keeps finished frames"""
 
     bl_idname = "clay.bake"
     bl_label = "Bake"
@@ -57,7 +57,7 @@ class CLAY_OT_bake(_BakeOperator, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_resume(_BakeOperator, bpy.types.Operator):  # noqa: N801
-    """Go on with a bake at its first missing frame; the result is the same as without a break"""
+    """Continue a bake at its first missing frame, with the same result as without interruption"""
 
     bl_idname = "clay.resume"
     bl_label = "Resume"
@@ -66,14 +66,14 @@ class CLAY_OT_resume(_BakeOperator, bpy.types.Operator):  # noqa: N801
 
 
 class CLAY_OT_free(bpy.types.Operator):  # noqa: N801
-    """Remove the bake from the disk and show the clay as it was made"""
+    """Remove the bake from disk and show the clay in its rest state"""
 
     bl_idname = "clay.free"
     bl_label = "Free"
     bl_options = {"REGISTER", "UNDO"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Ask first: files cannot be brought back by Undo."""
+        """Ask for confirmation, since Undo cannot restore files."""
         return context.window_manager.invoke_confirm(self, event)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -98,6 +98,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister the operators; Blender ends a bake that runs."""
+    """Unregister the operators; Blender ends a running bake."""
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

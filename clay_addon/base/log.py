@@ -18,7 +18,7 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
-from ..core.storage.whole_files import replace_text
+from ..core.storage.atomic_files import replace_text
 from .preferences import ADDON, ADDON_VERSION, device_choice
 
 MAX_BYTES = 1_000_000

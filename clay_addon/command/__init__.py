@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line, and the demonstration."""
+"""The command line and the demo."""

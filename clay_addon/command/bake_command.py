@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`bake`: bake a scene's clay, or its take again."""
+"""`bake`: bake the clay of a scene, or bake its take again."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 
 from .blend_file import CommandError, absolute_path, open_scene, save_file
 from .output import ProgressLine, output_text
-from .words import EXIT_DONE, EXIT_STALE, EXIT_USAGE, Outcome
+from .parser import EXIT_DONE, EXIT_STALE, EXIT_USAGE, Outcome
 
 
 def bake_command(arguments: argparse.Namespace) -> Outcome:
-    """Bake, and save the file where that was asked for."""
+    """Bake, and save the file if requested."""
     if not arguments.again and (arguments.spacing or arguments.substeps):
-        raise CommandError("--spacing and --substeps go with --again.", EXIT_USAGE)
+        raise CommandError("--spacing and --substeps require --again.", EXIT_USAGE)
     context, scene = open_scene(arguments)
     from ..bake.bake import BakeError, BakeStaleError, bake
     from ..core.storage.cache import CacheError
@@ -49,7 +49,7 @@ def bake_command(arguments: argparse.Namespace) -> Outcome:
         print(f"warning: {warning}", file=sys.stderr)
     table = asdict(result)
     milliseconds = result.median_frame_milliseconds
-    pace = f", {milliseconds:.0f} ms a frame" if milliseconds is not None else ""
+    pace = f", {milliseconds:.0f} ms per frame" if milliseconds is not None else ""
     return EXIT_DONE, output_text(
         arguments,
         table,
@@ -59,16 +59,16 @@ def bake_command(arguments: argparse.Namespace) -> Outcome:
 
 
 def _film(context: Any, scene: Any, arguments: argparse.Namespace) -> Any:
-    """The scene in which a scene's take is baked again."""
+    """The scene for baking a take again, made or updated unless resuming."""
     import bpy
 
     from ..base.units import from_meters
     from ..take.film import FilmError, make_film
 
     source = scene.tactile_clay.film_of or scene
-    known = [each for each in bpy.data.scenes if each.tactile_clay.film_of == source]
-    if arguments.resume and known:
-        film = known[0]
+    existing = [each for each in bpy.data.scenes if each.tactile_clay.film_of == source]
+    if arguments.resume and existing:
+        film = existing[0]
     else:
         spacing = from_meters(scene, (arguments.spacing or 0.0) * 1e-3)
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The .blend file a command works on: opening it, the paths given with it, saving it."""
+"""The .blend file of a command: opening it, resolving paths, and saving it."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from ...solver.core.errors import TactileClayError
-from .words import EXIT_FAILED, EXIT_USAGE
+from .parser import EXIT_FAILED, EXIT_USAGE
 
 
 class CommandError(TactileClayError):
-    """The command cannot be carried out."""
+    """A command failed; the message says why and what to do."""
 
     def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
         super().__init__(message)
         self.exit_code = exit_code
 
 
-def need_bpy() -> Any:
-    """The bpy module.
+def require_bpy() -> Any:
+    """Import the bpy module.
 
     Raises:
-        CommandError: It is not installed.
+        CommandError: The module is not installed.
     """
     try:
         import bpy
@@ -37,19 +37,19 @@ def need_bpy() -> Any:
 
 
 def open_scene(arguments: argparse.Namespace) -> tuple[Any, Any]:
-    """Open the file and find the scene that a command names.
+    """Open the file and find the scene named in a command.
 
     Returns:
         The context and the scene.
 
     Raises:
-        CommandError: There is no such file or scene, or the file cannot be opened.
+        CommandError: The file or scene does not exist, or the file cannot be opened.
     """
-    bpy = need_bpy()
+    bpy = require_bpy()
     if arguments.file is not None:
         path = arguments.file.absolute()
         if not path.is_file():
-            raise CommandError(f"There is no file {path}.", EXIT_USAGE)
+            raise CommandError(f"{path} does not exist.", EXIT_USAGE)
         from .. import register
 
         register()
@@ -62,9 +62,9 @@ def open_scene(arguments: argparse.Namespace) -> tuple[Any, Any]:
         return context, context.scene
     scene = bpy.data.scenes.get(arguments.scene)
     if scene is None:
-        known = ", ".join(each.name for each in bpy.data.scenes)
+        names = ", ".join(each.name for each in bpy.data.scenes)
         raise CommandError(
-            f"There is no scene {arguments.scene!r}. There are: {known}.", EXIT_USAGE
+            f"There is no scene {arguments.scene!r}. The scenes are: {names}.", EXIT_USAGE
         )
     if context.window is not None:
         context.window.scene = scene
@@ -72,22 +72,25 @@ def open_scene(arguments: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def absolute_path(path: str | None) -> str | None:
-    """A path given in the shell is relative to the shell; ``//`` to the .blend."""
+    """Resolve a path relative to the working directory; keep ``//``, relative to the .blend."""
     if path is None or path.startswith("//"):
         return path
     return str(Path(path).absolute())
 
 
 def save_file(what: str) -> None:
-    """Save the open .blend after a command, named by what it did.
+    """Save the open .blend after a command.
+
+    Args:
+        what: Name of the completed work, for messages.
 
     Raises:
-        CommandError: The file has no name or cannot be written.
+        CommandError: The file was never saved, or cannot be written.
     """
     import bpy
 
     if not bpy.data.filepath:
-        raise CommandError(f"The {what} is done, but the .blend has no name to be saved under.")
+        raise CommandError(f"The {what} is done, but the .blend has no file name to save to.")
     try:
         bpy.ops.wm.save_mainfile()
     except RuntimeError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`deliver`: write a bake as files for other programs and for rendering."""
+"""`deliver`: write a bake to files for other programs and for rendering."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from dataclasses import asdict
 
 from .blend_file import CommandError, absolute_path, open_scene, save_file
 from .output import ProgressLine, output_text
-from .words import EXIT_DONE, Outcome
+from .parser import EXIT_DONE, Outcome
 
 
 def deliver_command(arguments: argparse.Namespace) -> Outcome:
-    """Write the delivery, and save the file where that was asked for."""
+    """Write the delivery, and save the file if requested."""
     context, scene = open_scene(arguments)
     from ..deliver.delivery import DeliveryError, deliver
     from ..deliver.operators import delivery_text

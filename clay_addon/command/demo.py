@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demonstration: simulate, pack, export and render a scene of the gallery.
+"""The demo: simulate, pack, export and render a scene of the gallery.
 
-It leaves a .blend that plays with and without the extension, the last frame as STL, PLY and GLB, a
-picture of several moments, and a report with the figures.
+It writes a .blend that plays with and without the extension, the last frame as STL, PLY and GLB, an
+image of several frames, and a report with statistics.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ import bpy
 import numpy as np
 
 from ...solver.core.errors import TactileClayError
-from ..core.storage.whole_files import replace_text
-from .demo_progress import DemoProgress, chatter_into
+from ..core.storage.atomic_files import replace_text
+from .demo_progress import DemoProgress, redirected_output
 from .demo_scenes import DEFAULT, SCENES, DemoScene
 
 EXPORTS = (".stl", ".ply", ".glb")
-"""Formats of the last frame."""
+"""Export formats of the last frame."""
 
 
 class DemoError(TactileClayError):
-    """The demonstration cannot go on; the message says why and what to do."""
+    """The demo cannot continue; the message says why and what to do."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class _Options:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make the demonstration.
+    """Run the demo.
 
     Args:
-        argv: Command-line words; ``--help`` lists them.
+        argv: Command-line arguments; see ``--help``.
 
     Returns:
-        0 when everything was made, 1 when something failed, 2 when the words are wrong.
+        The exit code: 0 done, 1 failed, 2 usage.
     """
     try:
         options = _parse(argv)
@@ -68,7 +68,7 @@ def main(argv: Sequence[str]) -> int:
     log = options.output / "demo.log"
     try:
         options.output.mkdir(parents=True, exist_ok=True)
-        with chatter_into(log) as terminal:
+        with redirected_output(log) as terminal:
             lines = _make(options, DemoProgress(terminal, _stages(options.scene)))
     except OSError as error:
         print(f"demo: {options.output} cannot be written to: {error}", file=sys.stderr)
@@ -77,42 +77,42 @@ def main(argv: Sequence[str]) -> int:
         DemoError, BakeError, CacheError, ClayError, ExportError, PackError, SimulationError,
         SurfaceError, RuntimeError,
     ) as error:  # fmt: skip
-        print(f"demo: {error}\nWhat Blender and Warp said is in {log}.", file=sys.stderr)
+        print(f"demo: {error}\nThe output of Blender and Warp is in {log}.", file=sys.stderr)
         return 1
     print("\n".join(lines), flush=True)
     return 0
 
 
 def default_output(name: str) -> Path:
-    """Where a scene goes when nobody says where."""
+    """Default output folder of a scene."""
     return Path("build") / ("demo" if name == DEFAULT else f"demo-{name}")
 
 
 def _parse(argv: Sequence[str]) -> _Options:
     parser = argparse.ArgumentParser(
-        prog="tactile-clay demo", description="Make and render a scene of the gallery."
+        prog="tactile-clay demo", description="Simulate and render a scene of the gallery."
     )
-    parser.add_argument("--scene", choices=list(SCENES), default=DEFAULT, help="which one")
-    parser.add_argument("--output", type=Path, help="where it goes")
-    parser.add_argument("--frames", type=int, help="frames to simulate")
-    parser.add_argument("--width", type=int, help="width of one picture [pixels]")
-    parser.add_argument("--samples", type=int, help="samples a pixel")
-    words = parser.parse_args(list(argv))
-    scene = SCENES[words.scene]
-    most = importlib.import_module(f"..scenes.{scene.module}", __package__).FRAME_COUNT
-    frames = most if words.frames is None else words.frames
-    width = scene.width if words.width is None else words.width
-    samples = scene.samples if words.samples is None else words.samples
-    if not 2 <= frames <= most:
-        parser.error(f"--frames must be 2 to {most}.")
+    parser.add_argument("--scene", choices=list(SCENES), default=DEFAULT, help="the scene")
+    parser.add_argument("--output", type=Path, help="the output folder")
+    parser.add_argument("--frames", type=int, help="number of frames to simulate")
+    parser.add_argument("--width", type=int, help="width of an image [pixels]")
+    parser.add_argument("--samples", type=int, help="samples per pixel")
+    arguments = parser.parse_args(list(argv))
+    scene = SCENES[arguments.scene]
+    max_frames = importlib.import_module(f"..scenes.{scene.module}", __package__).FRAME_COUNT
+    frames = max_frames if arguments.frames is None else arguments.frames
+    width = scene.width if arguments.width is None else arguments.width
+    samples = scene.samples if arguments.samples is None else arguments.samples
+    if not 2 <= frames <= max_frames:
+        parser.error(f"--frames must be 2 to {max_frames}.")
     if width < 16 or samples < 1:
         parser.error("--width must be at least 16 and --samples at least 1.")
-    output = words.output or default_output(words.scene)
-    return _Options(words.scene, scene, output.absolute(), frames, width, samples)
+    output = arguments.output or default_output(arguments.scene)
+    return _Options(arguments.scene, scene, output.absolute(), frames, width, samples)
 
 
 def _stages(scene: DemoScene) -> dict[str, float]:
-    """Stages and how long each takes on two cores [s]."""
+    """Durations of the stages on two cores [s]."""
     return {
         "Loading kernels": 8.0,
         "Building the scene": 6.0,
@@ -124,7 +124,7 @@ def _stages(scene: DemoScene) -> dict[str, float]:
 
 
 def _make(options: _Options, progress: DemoProgress) -> list[str]:
-    """Make everything, and return what to tell about it."""
+    """Run all stages, and return the lines of a summary."""
     from .. import register
     from ..bake.bake import BakeProgress, bake
     from ..deliver.export import clay_surface, write_mesh
@@ -132,7 +132,7 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
     from ..playback.pack import pack_bake
 
     began = time.perf_counter()
-    # Reading the factory settings would switch the extension off inside Blender, wheels and all.
+    # Inside Blender, reading the factory settings would disable the extension and its wheels.
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     register()
     context = bpy.context
@@ -186,7 +186,7 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
         "milliseconds_a_frame": {
             "median": _rounded(np.median(milliseconds)),
             "percentile_90": _rounded(np.percentile(milliseconds, 90)),
-            "what": "wall time of a simulated frame: Blender's hands and colliders, solver, cache",
+            "what": "wall time per simulated frame: Blender's hands and colliders, solver, cache",
         },
         "volume_error": _rounded(result.volume_error, 6),
         "volume_error_of_exported_mesh": _rounded(surface.volume / volume - 1.0, 6),
@@ -205,13 +205,13 @@ def _make(options: _Options, progress: DemoProgress) -> list[str]:
     progress.end()
     return [
         f"{count:,} particles, {report['frames']} frames on {result.device}: "
-        f"{np.median(milliseconds):.0f} ms a frame; all in {report['total_seconds']:.0f} s.",
+        f"{np.median(milliseconds):.0f} ms per frame; {report['total_seconds']:.0f} s in total.",
         *(f"  {file}" for file in files),
     ]
 
 
 def _load_kernels(device: str) -> None:
-    """Compile what the simulation needs, or load it, by a first step with a little clay."""
+    """Compile or load the kernels of the simulation with one step of a small scene."""
     import warp
 
     from ...solver import Material, Scene, Solver
@@ -232,20 +232,20 @@ def _load_kernels(device: str) -> None:
 
 
 def _save(path: Path) -> None:
-    # A second run must not leave the first one's file as a .blend1.
+    # Do not keep the file of an earlier run as a .blend1.
     bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
 
 
-def _moments(shares: Sequence[float], frame_count: int) -> list[int]:
-    """Frames to show."""
-    return [max(1, round(share * frame_count)) for share in shares]
+def _moments(fractions: Sequence[float], frame_count: int) -> list[int]:
+    """Frames to show, at fractions of the animation."""
+    return [max(1, round(fraction * frame_count)) for fraction in fractions]
 
 
 def _render(
     context: bpy.types.Context, moments: Sequence[int], options: _Options, progress: DemoProgress
 ) -> Path:
-    """Render the moments onto a sheet."""
+    """Render frames to one sheet, and return its file."""
     from .demo_picture import (
         feature_sheet,
         feature_widths,

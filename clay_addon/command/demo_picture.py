@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The picture of a demonstration: moments of its film on one sheet.
+"""The image of a demo: several frames of its animation on one sheet.
 
-Either all are of one size, two a row, or the last is large and the others stand in a row below it.
+Either all have the same size, two per row, or the last one is large with the others in a row below.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ..deliver.export import clay_surface
 from ..model.clay_scene import clay_objects
 
 GAP = 10
-"""Width of the lines between pictures on a sheet of 1440 pixels [pixels]."""
+"""Width of the lines between frames on a sheet 1440 pixels wide [pixels]."""
 GAP_COLOR = (0.96, 0.94, 0.90, 1.0)
 
 Picture = NDArray[np.float32]
-"""RGBA, shape [height, width, 4], from the top."""
+"""RGBA pixels, shape [height, width, 4], top row first."""
 
 
 def render_moments(
@@ -34,15 +34,15 @@ def render_moments(
     folder: Path,
     progress: Callable[[float, str], None],
 ) -> list[Picture]:
-    """Render frames with the exact surfaces of all clay, in the proportions of the scene's picture.
+    """Render frames with the exact surfaces of all clay, in the scene's aspect ratio.
 
     Args:
         context: Its scene is rendered.
-        moments: Frames.
-        widths: Of each picture [pixels].
-        samples: A pixel, in the widest pictures; narrower ones take half as many.
-        folder: Where files may lie for a while.
-        progress: Told which part is done, and what is being done.
+        moments: Frame numbers.
+        widths: Width of each frame [pixels].
+        samples: Samples per pixel in the widest frames; narrower ones use half as many.
+        folder: Folder for temporary files.
+        progress: Called with the completed fraction and a description of the current work.
 
     Raises:
         SurfaceError: The clay has no surface.
@@ -54,7 +54,7 @@ def render_moments(
     render.resolution_percentage = 100
     render.image_settings.file_format = "PNG"
     render.use_persistent_data = True
-    # The .blend keeps the finer settings; these cost a minute less and show little of it.
+    # The saved .blend has better settings; these save a minute with little visible difference.
     scene.cycles.max_bounces = 3
     clays = clay_objects(scene)
     for clay in clays:
@@ -63,7 +63,7 @@ def render_moments(
     pictures = []
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
         for index, (frame, width) in enumerate(zip(moments, widths, strict=True)):
-            progress(float(cost[index]), f"picture {index + 1} of {len(moments)}")
+            progress(float(cost[index]), f"image {index + 1} of {len(moments)}")
             scene.frame_set(frame)
             shown = surface_object(clay_surface(context, clays)[0], "Shown clay")
             scene.collection.objects.link(shown)
@@ -77,7 +77,7 @@ def render_moments(
 
 
 def pairs_sheet(panels: Sequence[Picture]) -> Picture:
-    """Put pictures of one size two a row, with thin lines between and around them."""
+    """Arrange frames of equal size two per row, with thin lines between and around them."""
     height, width, _ = panels[0].shape
     rows = (len(panels) + 1) // 2
     gap = gap_of(2 * width)
@@ -91,10 +91,10 @@ def pairs_sheet(panels: Sequence[Picture]) -> Picture:
 
 
 def feature_sheet(panels: Sequence[Picture]) -> Picture:
-    """Put the last picture, the large one, on top and the others in a row below it.
+    """Arrange the large last frame on top and the others in a row below it.
 
     Args:
-        panels: In the order of their frames; widths as `feature_widths` gives them.
+        panels: Rendered frames in order, with the widths of `feature_widths`.
     """
     *small, large = panels
     height, width, _ = large.shape
@@ -112,9 +112,11 @@ def feature_sheet(panels: Sequence[Picture]) -> Picture:
 
 
 def feature_widths(count: int, width: int) -> list[int]:
-    """Widths of so many pictures, of which the last is the large one [pixels].
+    """Widths of frames for `feature_sheet` [pixels].
 
-    The others fill a row below it, but for the lines between them.
+    Args:
+        count: Number of frames.
+        width: Width of the last, large one [pixels]; the others fill a row below it.
     """
     small = count - 1
     if small < 1:
@@ -124,12 +126,12 @@ def feature_widths(count: int, width: int) -> list[int]:
 
 
 def gap_of(width: int) -> int:
-    """Width of the lines on a sheet of a width [pixels]."""
+    """Width of the lines on a sheet of a given width [pixels]."""
     return max(2, round(GAP * width / 1440))
 
 
 def write_picture(pixels: Picture, path: Path) -> None:
-    """Write a picture as PNG, whole or not at all."""
+    """Write an image atomically as PNG."""
     image = bpy.data.images.new("Sheet", pixels.shape[1], pixels.shape[0])
     image.pixels.foreach_set(np.ascontiguousarray(pixels[::-1]).ravel())
     temporary = path.with_name(f".{path.name}")

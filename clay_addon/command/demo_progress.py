@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How the demonstration tells how far it is, and where what libraries print goes meanwhile."""
+"""Progress of the demo, and redirection of the output of libraries."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import IO
 
 
 class DemoProgress:
-    """A bar with the time left on a terminal, now and then a plain line elsewhere.
+    """Prints progress and remaining time: a bar on a terminal, else occasional lines.
 
     Args:
-        stream: Where to tell it.
-        stages: How long each stage takes on two cores [s], in order; the time left is told from
-            these, corrected by how long the stages so far have taken.
+        stream: Stream to print to.
+        stages: Durations of the stages on two cores [s], in order, for the remaining time, which
+            is corrected by the actual durations so far.
     """
 
     _WIDTH = 28
@@ -30,26 +30,26 @@ class DemoProgress:
         self._began = time.perf_counter()
         self._stage = ""
         self._before = 0.0
-        self._told = -1
+        self._printed = -1
 
     def start(self, stage: str) -> None:
-        """Go on to a stage of those it was given."""
+        """Start a stage."""
         self._before += self._stages.get(self._stage, 0.0)
         self._stage = stage
-        self._told = -1
+        self._printed = -1
         self.advance(0.0, "")
 
-    def advance(self, share: float, detail: str) -> None:
-        """Tell how far the stage is.
+    def advance(self, fraction: float, detail: str) -> None:
+        """Print the progress of the current stage.
 
         Args:
-            share: Part of it that is done, 0 to 1.
-            detail: What is being done.
+            fraction: Completed fraction of the stage, 0 to 1.
+            detail: Description of the current work.
         """
         total = sum(self._stages.values())
-        done = self._before + share * self._stages[self._stage]
+        done = self._before + fraction * self._stages[self._stage]
         elapsed = time.perf_counter() - self._began
-        # The plan counts for as much as a quarter of its own length of experience.
+        # The planned pace has the weight of a quarter of the total duration.
         weight = done / (done + 0.25 * total)
         pace = weight * elapsed / max(done, 1e-6) + (1.0 - weight) if done else 1.0
         seconds = (total - done) * pace
@@ -59,24 +59,24 @@ class DemoProgress:
             filled = round(self._WIDTH * done / total)
             bar = "█" * filled + "░" * (self._WIDTH - filled)
             self._stream.write(f"\r{bar} {text}\033[K")
-        elif int(4 * share) > self._told:
-            self._told = int(4 * share)
+        elif int(4 * fraction) > self._printed:
+            self._printed = int(4 * fraction)
             self._stream.write(f"{text}\n")
         self._stream.flush()
 
     def end(self) -> None:
-        """Leave the bar's line."""
+        """Clear the bar."""
         if self._bar:
             self._stream.write("\r\033[K")
             self._stream.flush()
 
 
 @contextlib.contextmanager
-def chatter_into(log: Path) -> Iterator[IO[str]]:
-    """Send what libraries print to a file, and give a stream that still reaches the terminal."""
+def redirected_output(log: Path) -> Iterator[IO[str]]:
+    """Redirect output to a log file, and yield a stream to the terminal."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    kept = os.dup(1), os.dup(2)
+    previous = os.dup(1), os.dup(2)
     with log.open("w", encoding="utf-8") as file, os.fdopen(os.dup(2), "w") as terminal:
         try:
             os.dup2(file.fileno(), 1)
@@ -85,6 +85,6 @@ def chatter_into(log: Path) -> Iterator[IO[str]]:
         finally:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()
-            for number, copy in zip((1, 2), kept, strict=True):
+            for number, copy in zip((1, 2), previous, strict=True):
                 os.dup2(copy, number)
                 os.close(copy)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scenes that ``tactile-clay demo`` knows, and how their pictures are laid out.
+"""The scenes of ``tactile-clay demo``, and the layout of their images.
 
-Reads without Blender, so that the command line can list them.
+Can be imported without Blender, so that the command line can list them.
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ DEFAULT = "kindergarten"
 
 @dataclass(frozen=True)
 class DemoScene:
-    """A scene, and the picture that shows it."""
+    """A scene, and the image that shows it."""
 
     module: str
-    """In this package; it has ``build(context)`` and ``FRAME_COUNT``."""
-    what: str
-    """What is to be seen, in a few words."""
+    """Module in `scenes`, with ``build(context)`` and ``FRAME_COUNT``."""
+    description: str
+    """What the scene shows, in a few words."""
     moments: tuple[float, ...]
-    """Shares of the film at which it is shown."""
+    """Fractions of the animation at which the scene is rendered."""
     layout: str
-    """``pairs``: pictures of one size, two a row; ``feature``: the last one large."""
+    """``pairs``: frames of equal size, two per row; ``feature``: the last one large."""
     width: int
-    """Of a picture, or of the large one [pixels]."""
+    """Width of a frame, or of the large one [pixels]."""
     samples: int
-    """A pixel."""
+    """Samples per pixel."""
     simulation_seconds: float
-    """How long it takes on two cores [s]."""
+    """Duration of the simulation on two cores [s]."""
     render_seconds: float
-    """How long it takes on two cores [s]."""
+    """Duration of rendering on two cores [s]."""
 
 
 SCENES = {
     "kindergarten": DemoScene(
         module="kindergarten",
-        what="hands flatten, pinch, push and dent clay in six colors",
-        # Hands come, flatten and pinch, tear, push, press; and what they leave.
+        description="hands flatten, pinch, push and dent clay in six colors",
+        # Hands arrive, flatten and pinch, tear, push, press; and the result.
         moments=(0.05, 0.22, 0.35, 0.72, 0.93, 1.0),
         layout="pairs",
         width=600,
@@ -47,8 +47,8 @@ SCENES = {
     ),
     "wheel": DemoScene(
         module="wheel",
-        what="two hands throw a pot on a potter's wheel",
-        # Hands come, center, open, widen; and what they leave.
+        description="two hands throw a pot on a potter's wheel",
+        # Hands arrive, center, open, widen; and the result.
         moments=(0.04, 0.22, 0.42, 0.62, 0.83, 1.0),
         layout="feature",
         width=960,
@@ -58,8 +58,8 @@ SCENES = {
     ),
     "incline": DemoScene(
         module="incline",
-        what="four blocks fall on a slope, each lacking something else",
-        # They fall, hit the slope, and are there together before one is out of sight.
+        description="four blocks fall on a slope, three of them without one part of the model",
+        # They fall and hit the slope; the last moment is before one slides out of view.
         moments=(0.08, 0.13, 0.18, 0.26),
         layout="feature",
         width=960,
@@ -69,7 +69,7 @@ SCENES = {
     ),
     "character": DemoScene(
         module="character",
-        what="tools model a bust from wax of six colors",
+        description="tools model a bust from wax of six colors",
         moments=(0.0, 0.2, 0.5, 0.75, 1.0),
         layout="feature",
         width=960,
@@ -78,4 +78,4 @@ SCENES = {
         render_seconds=60.0,
     ),
 }
-"""By name."""
+"""Scenes by name."""

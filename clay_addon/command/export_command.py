@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`export`: write the clay of one frame as a mesh file."""
+"""`export`: write the clay at one frame to a mesh file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 from .blend_file import CommandError, absolute_path, open_scene
 from .output import output_text
-from .words import EXIT_DONE, EXIT_STALE, Outcome
+from .parser import EXIT_DONE, EXIT_STALE, Outcome
 
 
 def export_command(arguments: argparse.Namespace) -> Outcome:
@@ -45,16 +45,16 @@ def export_command(arguments: argparse.Namespace) -> Outcome:
     except (ExportError, SurfaceError) as error:
         raise CommandError(str(error)) from error
     if shown is None:
-        print("warning: nothing is baked, so this is the clay as it was made", file=sys.stderr)
+        print("warning: nothing is baked; exported the clay without simulation", file=sys.stderr)
     elif shown != frame:
-        print(f"warning: frame {frame} is not baked, so this is frame {shown}", file=sys.stderr)
+        print(f"warning: frame {frame} is not baked; exported frame {shown}", file=sys.stderr)
     for warning in (table["print"] or {}).get("warnings", ()):
         print(f"warning: {warning}", file=sys.stderr)
-    # Adding zero keeps rounding from writing -0.00.
+    # Adding zero avoids -0.00.
     volume_error = round(table["volume_error"], 4) + 0.0
     return EXIT_DONE, output_text(
         arguments,
         {"frame": frame, "shown_frame": shown, **table},
         f"Frame {frame} written to {table['file']}: {table['faces']:,} triangles, watertight, "
-        f"volume {volume_error:+.2%} off the particles' own.",
+        f"volume {volume_error:+.2%} from that of the particles.",
     )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: bake, render, deliver, export and look into .blend files, and track hands.
+"""The command line: bake, render, deliver, export and inspect .blend files, and track hands.
 
-The same words serve ``tactile-clay bake FILE.blend`` (with the bpy module) and
-``blender -b FILE.blend -c clay bake`` (inside Blender, on the file that is open).
+The same commands work as ``tactile-clay bake FILE.blend`` (with the bpy module) and as
+``blender -b FILE.blend -c clay bake`` (inside Blender, for the open file).
 """
 
 from __future__ import annotations
@@ -15,61 +15,61 @@ from collections.abc import Sequence
 from typing import Any
 
 from .bake_command import bake_command
-from .blend_file import CommandError, need_bpy
+from .blend_file import CommandError, require_bpy
 from .deliver_command import deliver_command
 from .export_command import export_command
 from .info_command import info_command
-from .output import diverted_output
-from .render_command import render_command
-from .words import (
+from .output import stdout_to_stderr
+from .parser import (
     EXIT_DONE,
     EXIT_INTERRUPTED,
     Outcome,
     joined_ranges,
     make_parser,
 )
+from .render_command import render_command
 
 
 def main(argv: Sequence[str]) -> int:
-    """Carry out a command on a .blend file that it names.
+    """Run a command on the .blend file it names.
 
     Args:
-        argv: The words after the program's name.
+        argv: The arguments after the program name.
 
     Returns:
         The exit code: 0 done, 1 failed, 2 usage, 3 stale, 130 interrupted.
     """
-    return _main(argv, program="tactile-clay", names_file=True)
+    return _main(argv, program="tactile-clay", file_argument=True)
 
 
 def main_in_blender(argv: Sequence[str]) -> int:
-    """Carry out a command on the file that is open in Blender; see `main`."""
-    return _main(argv, program="blender -b FILE.blend -c clay", names_file=False)
+    """Run a command on the file open in Blender; see `main`."""
+    return _main(argv, program="blender -b FILE.blend -c clay", file_argument=False)
 
 
 def run() -> None:
-    """Carry out the command that the shell gave, and end the process."""
+    """Run the command from the shell, and end the process."""
     try:
         code = main(sys.argv[1:])
         sys.stdout.flush()
     except BrokenPipeError:
-        # Whoever read the output has seen enough, as `head` does.
+        # The reader closed the output, as `head` does.
         code = 0
     sys.stderr.flush()
-    # The bpy module of Blender 4.5 can hang while the interpreter is torn down.
+    # The bpy module of Blender 4.5 can hang while the interpreter shuts down.
     os._exit(code)
 
 
-def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
-    parser = make_parser(program, names_file=names_file, commands=COMMANDS)
+def _main(argv: Sequence[str], *, program: str, file_argument: bool) -> int:
+    parser = make_parser(program, file_argument=file_argument, commands=COMMANDS)
     try:
         arguments = parser.parse_args(joined_ranges(argv))
     except SystemExit as end:
         return int(end.code or 0)
     try:
-        # What Blender and Warp print belongs to the standard error: the standard output has the
-        # result and nothing else.
-        with contextlib.nullcontext() if _prints_itself(arguments) else diverted_output():
+        # Output of Blender and Warp goes to standard error, so that standard output contains only
+        # the result.
+        with contextlib.nullcontext() if _prints_itself(arguments) else stdout_to_stderr():
             code, result = arguments.carry_out(arguments)
         if result:
             print(result, flush=True)
@@ -83,7 +83,7 @@ def _main(argv: Sequence[str], *, program: str, names_file: bool) -> int:
 
 
 def _prints_itself(arguments: argparse.Namespace) -> bool:
-    """Whether a command says on its own what it does, while it does it."""
+    """Whether a command prints its own output while running."""
     return arguments.carry_out in (_demo, _array_server)
 
 
@@ -94,17 +94,17 @@ def _array_server(arguments: argparse.Namespace) -> Outcome:
 
 
 def _demo(arguments: argparse.Namespace) -> Outcome:
-    need_bpy()
+    require_bpy()
     from . import demo
 
-    words = ["--scene", arguments.scene]
+    argv = ["--scene", arguments.scene]
     if arguments.output is not None:
-        words += ["--output", str(arguments.output)]
-    return demo.main(words), ""
+        argv += ["--output", str(arguments.output)]
+    return demo.main(argv), ""
 
 
 def _track(arguments: argparse.Namespace) -> Outcome:
-    # A tracker's sender runs without Blender.
+    # This command runs without Blender.
     from ..core.tracking import TrackingError
     from ..core.tracking.command import track
 
@@ -124,23 +124,23 @@ COMMANDS = {
     "demo": _demo,
     "track": _track,
 }
-"""What carries each command out."""
+"""Functions that run the commands, by name."""
 
 
 class _BlenderCommand:
-    """The entry for ``blender -c clay``, while the add-on is enabled."""
+    """Registration of ``blender -c clay``."""
 
     def __init__(self) -> None:
         self._handle: Any = None
 
     def register(self) -> None:
-        """Make ``blender -c clay`` known."""
+        """Register ``blender -c clay``."""
         import bpy
 
         self._handle = bpy.utils.register_cli_command("clay", main_in_blender)
 
     def unregister(self) -> None:
-        """Forget ``blender -c clay``; without it, do nothing."""
+        """Unregister ``blender -c clay``, if it is registered."""
         import bpy
 
         if self._handle is not None:

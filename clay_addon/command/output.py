@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line prints, and where: results, and how far it is."""
+"""Output of the command line: results and progress."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 
 def output_text(arguments: argparse.Namespace, table: dict[str, Any], text: str) -> str:
+    """The result of a command: the table as JSON with ``--json``, else the text."""
     return json.dumps(_without_nan(table), indent=2, default=str) if arguments.json else text
 
 
@@ -31,54 +32,54 @@ def _without_nan(value: Any) -> Any:
 
 
 @contextlib.contextmanager
-def diverted_output() -> Iterator[None]:
-    """Send what Python and the C library print on the standard output to the standard error."""
+def stdout_to_stderr() -> Iterator[None]:
+    """Redirect standard output of Python and the C library to standard error."""
     flush_output()
-    kept = os.dup(1)
+    previous = os.dup(1)
     try:
         os.dup2(2, 1)
         with contextlib.redirect_stdout(sys.stderr):
             yield
     finally:
         flush_output()
-        os.dup2(kept, 1)
-        os.close(kept)
+        os.dup2(previous, 1)
+        os.close(previous)
 
 
 def flush_output() -> None:
-    """Flush the standard output, also the C library's, which Blender writes to."""
+    """Flush standard output of Python and the C library, which Blender uses."""
     sys.stdout.flush()
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fflush(None)
 
 
 class ProgressLine:
-    """Tells how far something is: a bar on a terminal, now and then a plain line elsewhere."""
+    """Prints progress: a bar on a terminal, else a line for every 10 %."""
 
     _WIDTH = 24
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
         self._bar = stream.isatty()
-        self._told = -1
+        self._printed = -1
 
     def __call__(self, progress: BakeProgress | DeliveryProgress) -> None:
         from ..core.readable import duration_text
 
-        share = progress.done / max(1, progress.total)
+        fraction = progress.done / max(1, progress.total)
         left = f"{duration_text(progress.seconds_left)} left"
         text = f"frame {progress.frame}, {progress.done} of {progress.total}, {left}"
         if self._bar:
-            filled = round(self._WIDTH * share)
+            filled = round(self._WIDTH * fraction)
             bar = "█" * filled + "░" * (self._WIDTH - filled)
             self._stream.write(f"\r{bar} {text}\033[K")
             self._stream.flush()
-        elif int(10 * share) > self._told:
-            self._told = int(10 * share)
+        elif int(10 * fraction) > self._printed:
+            self._printed = int(10 * fraction)
             print(text, file=self._stream, flush=True)
 
     def end(self) -> None:
-        """Leave the bar's line."""
+        """End the line of the bar."""
         if self._bar:
             self._stream.write("\n")
             self._stream.flush()

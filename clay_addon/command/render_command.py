@@ -9,11 +9,11 @@ from dataclasses import asdict
 
 from .blend_file import CommandError, absolute_path, open_scene
 from .output import output_text
-from .words import EXIT_DONE, EXIT_STALE, Outcome
+from .parser import EXIT_DONE, EXIT_STALE, Outcome
 
 
 def render_command(arguments: argparse.Namespace) -> Outcome:
-    """Render frames; those not baked are refused."""
+    """Render frames, all of which must be baked."""
     context, scene = open_scene(arguments)
     from ..deliver.render_frames import (
         FrameNotBakedError,
@@ -22,8 +22,8 @@ def render_command(arguments: argparse.Namespace) -> Outcome:
         render_frames,
     )
 
-    def tell(progress: RenderProgress) -> None:
-        # The words in which Blender itself tells it, from which schedulers read what there is.
+    def report(progress: RenderProgress) -> None:
+        # Blender's own wording, which render farm schedulers parse.
         print(f"Saved: '{progress.path}'", file=sys.stderr, flush=True)
 
     if arguments.cache is not None:
@@ -38,7 +38,7 @@ def render_command(arguments: argparse.Namespace) -> Outcome:
                 frames,
                 output=absolute_path(arguments.output),
                 resume=arguments.resume,
-                progress=tell,
+                progress=report,
             )
     except FrameNotBakedError as error:
         raise CommandError(str(error), EXIT_STALE) from error
@@ -47,6 +47,5 @@ def render_command(arguments: argparse.Namespace) -> Outcome:
     return EXIT_DONE, output_text(
         arguments,
         asdict(result),
-        f"{result.rendered} frames rendered, {result.kept} kept.\n"
-        f"Pictures: {result.files[0].parent}",
+        f"{result.rendered} frames rendered, {result.kept} kept.\nImages: {result.files[0].parent}",
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene holds and what is baked of it, as plain data and as text."""
+"""Description of a scene and its bake, as plain data and as text."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from ..simulate.simulation import Simulation
 def scene_status(
     context: bpy.types.Context, directory: str | os.PathLike[str] | None = None
 ) -> dict[str, Any]:
-    """Describe the clay, the colliders, the hands and the bake of a scene; needs no solver.
+    """Describe clay, colliders, hands and bake of a scene without starting a solver.
 
     Args:
-        context: Its scene is described; its current frame is the same afterwards.
-        directory: Cache folder; the scene's setting where not given.
+        context: Its scene is described; the current frame is restored afterward.
+        directory: Cache folder; by default from the scene's settings.
     """
     scene = context.scene
-    # Reading a hand changes the scene for a moment, so what is evaluated is looked at after it.
+    # Reading a hand temporarily changes the scene, so this precedes its evaluation.
     hands = [_describe_hand(context, item) for item in hand_objects(scene)]
     depsgraph = context.evaluated_depsgraph_get()
     return {
@@ -114,7 +114,7 @@ def _describe_bake(
     try:
         cache = Cache(resolve_directory(scene, directory))
     except CacheFolderError as error:
-        # Not a fault yet: nobody has asked for a bake.
+        # Not an error, as long as no bake is requested.
         return {**table, "directory_problem": str(error)}
     table["directory"] = str(cache.directory)
     if not cache.exists():
@@ -122,10 +122,10 @@ def _describe_bake(
     previous = shown_moment(scene)
     try:
         meta = cache.meta()
-        whole = cache.whole_frames(meta.start, meta.end)
+        intact = cache.intact_frames(meta.start, meta.end)
         table["range"] = [meta.start, meta.end]
-        table["frames"] = len(whole)
-        table["missing"] = [n for n in range(meta.start, meta.end + 1) if n not in whole]
+        table["frames"] = len(intact)
+        table["missing"] = [n for n in range(meta.start, meta.end + 1) if n not in intact]
         table["size"] = cache.size()
         table["statistics"] = dict(meta.statistics)
         with paused():
@@ -140,24 +140,25 @@ def _describe_bake(
 
 
 def status_text(table: dict[str, Any]) -> str:
-    """The table of `scene_status` as text."""
+    """Format the table of `scene_status` as text."""
     lines = [f"{table['file'] or 'unsaved file'}, scene {table['scene']}"]
     for clay in table["clay"]:
         lines.append(
             f"  clay      {clay['name']}: {clay['particle_count']:,} particles "
-            f"{clay['spacing'] * 1e3:.3g} mm apart, {clay['preset'].replace('_', ' ').lower()}"
+            f"with {clay['spacing'] * 1e3:.3g} mm spacing, "
+            f"{clay['preset'].replace('_', ' ').lower()}"
         )
     if not table["clay"]:
         lines.append("  no clay")
     for collider in table["colliders"]:
-        what = collider["problem"] or f"{collider['kind']}, friction {collider['friction']:.2g}"
-        lines.append(f"  collider  {collider['name']}: {what}")
+        text = collider["problem"] or f"{collider['kind']}, friction {collider['friction']:.2g}"
+        lines.append(f"  collider  {collider['name']}: {text}")
     for hand in table["hands"]:
-        what = hand["problem"] or (
+        text = hand["problem"] or (
             f"{hand['side'] or 'side unknown'}, {hand['ghost_count']:,} ghosts, "
             f"friction {hand['friction']:.2g}"
         )
-        lines.append(f"  hand      {hand['name']}: {what}")
+        lines.append(f"  hand      {hand['name']}: {text}")
     bake = table["bake"]
     start, end = bake["range"]
     if not bake["frames"] and not bake["problem"]:

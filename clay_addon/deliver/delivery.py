@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Delivery: the clay's surface over time as USD or Alembic, played by stock Blender.
+"""Delivery: the surface of the clay over time as USD or Alembic, played by stock Blender.
 
-What is delivered is the exact surface (`surface.reconstruct`), not that of the look's geometry
-nodes: it takes five times as long (half a second of processor time for 15,000 particles), but its
-volume stays that of the particles, where the nodes' is off by up to 5 % and so breathes as clay is
-worked, and clay objects that touch are one piece.
+The delivered surface is the exact one (`core.surface.exact`), not that of the geometry nodes. It
+takes five times as long (half a second of CPU time for 15,000 particles), but it preserves the
+volume of the particles, while the volume of the nodes' surface is off by up to 5 % and fluctuates
+as the clay deforms. Clay objects that touch become one piece.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ import bpy
 from ..base.activity import ActivityKind, BusyError, clay_activity
 from ..base.clock import go_to, shown_moment
 from ..base.units import meters_per_unit
+from ..core.storage.atomic_files import replace_file
 from ..core.storage.cache import CacheError
 from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME
-from ..core.storage.whole_files import replace_file
 from ..core.surface.exact import SurfaceError
 from ..model.clay_scene import clay_objects, frames_per_second
 from ..model.properties import frame_range
 from ..playback.playback import cache_of
 from ..playback.shown_clay import ShownClay, ShownClayError, moves, particles_surface
 from .files import FRAMES_FOLDER, ROOT_NAME, FrameWriter, write_root
-from .folder import NOTE, DeliveryError, partial_folder, replace_folder, resolve_folder
+from .folder import MANIFEST_NAME, DeliveryError, partial_folder, replace_folder, resolve_folder
 from .object import close_delivery, show_delivery
 
 __all__ = [
@@ -48,23 +48,23 @@ KINDS = ("usd", "abc")
 
 @dataclass(frozen=True)
 class DeliveryProgress:
-    """How far a delivery is."""
+    """Progress of a delivery."""
 
     frame: int
     """The frame just finished."""
     done: int
-    """Frames done, of `total`."""
+    """Number of frames done, out of `total`."""
     total: int
-    """Frames in the range."""
+    """Number of frames in the range."""
     bytes: int
-    """Bytes on the disk so far."""
+    """Size on disk so far [bytes]."""
     seconds_left: float | None
-    """Time the rest will take [s]; None while that is unknown."""
+    """Estimated remaining time [s]; None while unknown."""
 
 
 @dataclass(frozen=True)
 class DeliveryResult:
-    """What a delivery did."""
+    """Result and statistics of a delivery."""
 
     file: Path
     """The file to open; the first of a sequence for Alembic."""
@@ -73,28 +73,28 @@ class DeliveryResult:
     end: int
     """Last frame."""
     shapes: int
-    """Shapes written; fewer than frames where shapes are held."""
+    """Number of shapes written; fewer than the frames if shapes are held."""
     particle_count: int
     """Number of particles in the last shape."""
     vertex_count: int
-    """Largest number of vertices of a shape."""
+    """Largest number of vertices in a shape."""
     volume_error: float
-    """Largest difference of a surface's volume from the particles' own, as a fraction."""
+    """Largest relative difference between the volumes of a surface and its particles."""
     bytes: int
-    """Size on the disk."""
+    """Size on disk [bytes]."""
     bytes_per_shape: int
-    """Median size of a shape on the disk."""
+    """Median size of a shape on disk [bytes]."""
     seconds: float
-    """Time it took [s]."""
+    """Duration of the delivery [s]."""
     seconds_per_shape: float
-    """Median time a shape took [s]."""
+    """Median time per shape [s]."""
     object_name: str
-    """The object that plays it; empty where none was wanted."""
+    """Name of the object that plays the files; empty if there is none."""
 
 
 @dataclass
 class _DeliveryTally:
-    """Figures gathered on the way."""
+    """Statistics collected during a delivery."""
 
     seconds: list[float] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
@@ -114,25 +114,25 @@ def deliver(
     show: bool = True,
     progress: Callable[[DeliveryProgress], object] | None = None,
 ) -> DeliveryResult | None:
-    """Write the clay's surface over time, and play it in place of the clay.
+    """Write the surface of the clay over time, and play it in place of the clay.
 
     Args:
-        context: Its scene's clay is delivered: baked, packed, keyed or as it was sculpted.
-        kind: ``usd``, or ``abc`` for Alembic, which keeps neither velocities (so no motion blur)
-            nor colors of more than eight bits.
-        start: First frame; the scene's setting, or the bake's first frame, where not given.
-        end: Last frame; the scene's setting, or the bake's last frame, where not given.
-        directory: Folder of the delivery; the scene's setting where not given.
-        points: Whether USD gets the particles too.
-        show: Whether to make an object that plays the files, and hide the clay.
+        context: The clay of its scene is delivered: baked, packed, keyed or sculpted.
+        kind: ``usd``, or ``abc`` for Alembic, which has neither velocities (so no motion blur) nor
+            more than 8 bits per color channel.
+        start: First frame; by default from the scene's settings, limited to the bake.
+        end: Last frame; by default from the scene's settings, limited to the bake.
+        directory: Folder of the delivery; by default from the scene's settings.
+        points: Whether USD files also contain the particles.
+        show: Whether to add an object that plays the files, and hide the clay.
         progress: Called after each frame; the delivery stops if it returns False.
 
     Returns:
-        What was done; None where it was stopped, which leaves everything as it was.
+        The result; None if the delivery was stopped, which changes nothing.
 
     Raises:
-        DeliveryError: the clay or the folder cannot be delivered to, or a frame failed. What was
-            delivered before is as it was.
+        DeliveryError: The clay cannot be delivered, the folder cannot be used, or a frame failed.
+            An earlier delivery is unchanged.
     """
     steps = deliver_steps(
         context, kind=kind, start=start, end=end, directory=directory, points=points, show=show
@@ -157,9 +157,9 @@ def deliver_steps(
     points: bool = False,
     show: bool = True,
 ) -> Generator[DeliveryProgress, None, DeliveryResult]:
-    """The same as `deliver`, as a generator that yields after each frame.
+    """Deliver as `deliver` does, in a generator that yields after each frame.
 
-    Closing it stops the delivery, and leaves everything as it was.
+    Closing the generator stops the delivery and changes nothing.
     """
     try:
         clay_activity.check_free()
@@ -195,8 +195,8 @@ def _deliver_frames(
         keys = (key for number in range(first, last + 1) for key in shown.key(number))
         if shown.sculpted and any(key[0] == "own" for key in keys):
             raise DeliveryError(
-                "The clay was sculpted since it was baked, so it does not play that bake. Bake "
-                "again, undo, or Free the bake to deliver what was sculpted."
+                "The clay was sculpted after it was baked, so it does not play the bake. Bake "
+                "again, undo, or Free the bake to deliver the sculpted shape."
             )
         with partial_folder(target) as folder:
             shapes = yield from _write_frames(
@@ -212,16 +212,16 @@ def _deliver_frames(
                     frames_per_second=frames_per_second(scene),
                     meters_per_unit=meters_per_unit(scene),
                 )
-            _write_note(folder, kind, first, last, files, object_path)
+            _write_manifest(folder, kind, first, last, files, object_path)
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
             if show:
-                # An open file keeps some systems from moving its folder.
+                # Some systems cannot move a folder that contains an open file.
                 close_delivery(scene)
             replace_folder(folder, target)
     except ReferenceError as error:
         raise DeliveryError(
-            "Something that is delivered was deleted, or replaced by Undo, on the way. Nothing was "
-            "changed; try again."
+            "An object in the delivery was deleted, or replaced by Undo, during the delivery. "
+            "Nothing was changed; try again."
         ) from error
     except (ShownClayError, SurfaceError, CacheError) as error:
         raise DeliveryError(str(error)) from error
@@ -232,11 +232,11 @@ def _deliver_frames(
         ) from error
     except OSError as error:
         raise DeliveryError(
-            f"{target} could not be written ({error.strerror or error}). What was there is as it "
-            "was. Choose another folder, or free some space."
+            f"{target} could not be written ({error.strerror or error}). An earlier delivery is "
+            "unchanged. Choose another folder, or free some space."
         ) from error
     finally:
-        # Undo replaces the scene.
+        # Undo replaces the scene, too.
         with suppress(ReferenceError):
             if shown_moment(scene) != previous:
                 go_to(scene, previous)
@@ -262,12 +262,12 @@ def _deliver_frames(
 
 
 def _check_build(kind: str) -> None:
-    there = bpy.app.build_options.usd if kind == "usd" else bpy.app.build_options.alembic
-    if not there:
+    options = bpy.app.build_options
+    if not (options.usd if kind == "usd" else options.alembic):
         name = "USD" if kind == "usd" else "Alembic"
         raise DeliveryError(
-            f"This build of Blender has no {name}. Use the one from blender.org, or Pack Playback, "
-            "which needs no files."
+            f"This build of Blender does not support {name}. Use the build from blender.org, or "
+            "Pack Playback, which needs no files."
         )
 
 
@@ -277,7 +277,7 @@ def _range(
     first, last = frame_range(scene)
     keyed = any(key[0] == "pose" for key in shown.key(first) + shown.key(last))
     if shown.baked and not keyed:
-        # Before and after the bake nothing moves.
+        # Nothing moves before or after the bake.
         first, last = max(first, shown.baked[0]), min(last, shown.baked[-1])
         if last < first:
             first, last = shown.baked[0], shown.baked[-1]
@@ -301,7 +301,7 @@ def _write_frames(
     points: bool,
     tally: _DeliveryTally,
 ) -> Generator[DeliveryProgress, None, dict[int, tuple[str, str]]]:
-    """Write every shape once; gives the file and its object path from each frame on."""
+    """Write each shape once, and return the file name and object path shown at each frame."""
     files: dict[tuple[tuple[object, ...], ...], str] = {}
     shapes: dict[int, tuple[str, str]] = {}
     (folder / FRAMES_FOLDER).mkdir()
@@ -333,7 +333,7 @@ def _write_frames(
     return shapes
 
 
-def _write_note(
+def _write_manifest(
     folder: Path, kind: str, first: int, last: int, shapes: dict[int, str], object_path: str
 ) -> None:
     table = {
@@ -344,4 +344,8 @@ def _write_note(
         "shapes": shapes,
     }
     text = json.dumps(table, indent=1) + "\n"
-    replace_file(folder / NOTE, folder / f"{NOTE}.tmp", lambda file: file.write(text.encode()))
+    replace_file(
+        folder / MANIFEST_NAME,
+        folder / f"{MANIFEST_NAME}.tmp",
+        lambda file: file.write(text.encode()),
+    )

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Export of the clay as one closed, colored mesh: STL, 3MF, OBJ, PLY or GLB.
 
-Axes are those of Blender's own exporters: STL, 3MF and PLY keep Z up, OBJ and GLB turn it to Y up.
-A file's unit is the meter, or the millimeter where asked for, as slicers read STL; 3MF is always in
-millimeters. Colors are linear in Blender and in GLB, and sRGB in 3MF, OBJ and PLY, 8 bits a
-channel; STL has none. 3MF is written by `mesh_3mf`, the others by the trimesh library, whose 3MF
-needs two more packages and has no colors.
+The axes are those of Blender's own exporters: Z up in STL, 3MF and PLY, Y up in OBJ and GLB. Files
+are in meters, or in millimeters on request, as slicers read STL; 3MF is always in millimeters.
+Colors are linear in Blender and GLB, and sRGB in 3MF, OBJ and PLY, with 8 bits per channel; STL has
+none. 3MF is written by `mesh_3mf`, the others by the trimesh library, whose 3MF export needs two
+more packages and has no colors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...solver.core.errors import TactileClayError
 from ..base.clock import shown_moment
 from ..base.units import meters_per_unit
-from ..core.storage.whole_files import replace_file
+from ..core.storage.atomic_files import replace_file
 from ..core.surface.exact import Surface
 from ..core.surface.mesh_3mf import write_3mf
 from ..playback.shown_clay import ShownClayError, ShownParticles, particles_surface
@@ -34,11 +34,11 @@ from .print_checks import base_area, check_print, flat_base, untangle
 SUFFIXES = (".stl", ".3mf", ".obj", ".ply", ".glb")
 UNITS = {"m": 1.0, "mm": 1000.0}
 AUTO = "auto"
-"""The unit that programs take a file's numbers for: millimeters in STL and 3MF, else meters."""
+"""The unit that other programs expect in a file: millimeters in STL and 3MF, else meters."""
 PRINTED = (".stl", ".3mf")
-"""Formats of 3D printing, whose shapes are checked for it."""
+"""Formats for 3D printing; exported surfaces are checked for printability."""
 MIN_WALL = 1.0
-"""The thinnest wall that common printers make [mm]; resin bears half of it."""
+"""Thinnest wall that common printers can make [mm]; resin printers can make half of it."""
 
 
 class ExportError(TactileClayError, ValueError):
@@ -46,29 +46,25 @@ class ExportError(TactileClayError, ValueError):
 
 
 def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m") -> Path:
-    """Write a surface to a file in the format of its suffix.
-
-    The file is written whole or not at all: a file of that name is replaced only by a complete
-    one.
+    """Write a surface atomically to a file in the format of its suffix.
 
     Args:
         surface: The surface [m].
         path: File with the suffix .stl, .3mf, .obj, .ply or .glb.
-        unit: Unit of the numbers in the file, "m", "mm" or "auto", which is millimeters in STL and
-            3MF and meters in the others; GLB is always in meters, 3MF in millimeters.
+        unit: Unit of the numbers in the file: "m", "mm", or "auto" for millimeters in STL and 3MF
+            and meters in other formats. GLB is always in meters, 3MF in millimeters.
 
     Returns:
         The path.
 
     Raises:
-        ExportError: if the suffix or unit is unknown, the folder cannot be written to, the disk is
-            full, trimesh is missing, or the clay is so far from the origin that single precision
-            cannot hold it.
+        ExportError: The suffix or unit is unknown, the folder cannot be written to, the disk is
+            full, trimesh is missing, or the clay is too far from the origin for single precision.
     """
     path = check_target(path, unit=unit)
     suffix = path.suffix.lower()
     vertices, normals = surface.vertices * UNITS[_unit_of(suffix, unit)], surface.normals
-    # glTF allows no zero normals.
+    # glTF does not allow zero normals.
     normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
     if suffix in (".obj", ".glb"):
         vertices, normals = _y_up(vertices), _y_up(normals)
@@ -76,15 +72,15 @@ def write_mesh(surface: Surface, path: str | os.PathLike[str], *, unit: str = "m
     corners = single[surface.faces]
     if not np.isfinite(single).all() or (corners == np.roll(corners, 1, axis=1)).all(2).any():
         raise ExportError(
-            "The clay is too small for how far it lies from the world's origin: a file of single"
-            " precision cannot hold its shape. Move it closer to the origin."
+            "The clay is too far from the world origin for its size: single-precision files cannot"
+            " represent its shape. Move it closer to the origin."
         )
     if suffix == ".3mf":
         colors = None if surface.colors is None else _eight_bits(_srgb(surface.colors))
-        _write_whole(path, lambda file: write_3mf(file, single, surface.faces, colors))
+        _write_atomically(path, lambda file: write_3mf(file, single, surface.faces, colors))
     else:
         content = _encode(suffix, single, surface.faces, normals, surface.colors)
-        _write_whole(path, lambda file: file.write(content))
+        _write_atomically(path, lambda file: file.write(content))
     return path
 
 
@@ -92,7 +88,7 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
     """Check that a mesh can be written to a path, before any work is done.
 
     Raises:
-        ExportError: if the suffix or unit is unknown, the folder is not there, or trimesh is
+        ExportError: The suffix or unit is unknown, the folder does not exist, or trimesh is
             missing.
     """
     path = Path(path)
@@ -107,9 +103,9 @@ def check_target(path: str | os.PathLike[str], *, unit: str = "m") -> Path:
     if suffix == ".glb" and unit == "mm":
         raise ExportError("A .glb file is always in meters; leave the unit at m.")
     if not path.parent.is_dir():
-        raise ExportError(f"The folder {path.parent} does not exist. Make it first.")
+        raise ExportError(f"The folder {path.parent} does not exist. Create it first.")
     if path.is_dir():
-        raise ExportError(f"{path} is a folder. Give the name of a file.")
+        raise ExportError(f"{path} is a folder. Enter the name of a file.")
     if importlib.util.find_spec("trimesh") is None:
         raise ExportError(
             "The package trimesh is missing, so no file can be written. Install the extension from"
@@ -127,29 +123,29 @@ def export_clay(
     base: float = 0.0,
     wall: float = MIN_WALL,
 ) -> dict[str, Any]:
-    """Export clay as it is at the current frame.
+    """Export the clay at the current frame.
 
-    Objects with the same particle distance become one surface, so that clay which touches is one
-    piece.
+    Objects with the same particle spacing become one surface, so that clay in contact is one piece.
 
     Args:
-        context: Where the clay is.
+        context: The context of the clay.
         path: File with the suffix .stl, .3mf, .obj, .ply or .glb.
-        objects: Clay objects; all of the scene where not given.
+        objects: Clay objects; by default all of the scene.
         unit: Unit of the numbers in the file; see `write_mesh`.
-        base: How much to cut off at the bottom for a flat base [mm].
-        wall: The thinnest wall that can be printed [mm]; thinner ones are counted.
+        base: Height to cut off at the bottom for a flat base [mm].
+        wall: Thinnest printable wall [mm], for warnings.
 
     Returns:
-        ``file``, ``particles``, ``vertices``, ``faces``, ``volume`` [m^3], ``volume_error`` (the
-        volume before a base was cut, relative to the particles' own, minus one), ``watertight``,
-        ``size`` [mm] along the three axes, and ``print``: None but for STL and 3MF, which have
-        ``crossings`` (pairs of triangles), ``thinnest_wall`` [mm], ``thin_share`` (of the surface,
-        with walls below `wall`), ``base_area`` [mm^2] and ``warnings``.
+        ``file``, ``particles``, ``vertices``, ``faces``, ``volume`` [m^3], ``volume_error``
+        (relative difference to the volume of the particles, before a base is cut), ``watertight``,
+        ``size`` [mm] along the three axes, and ``print``. The latter is None except for STL and
+        3MF, where it has ``crossings`` (number of intersecting pairs of triangles),
+        ``thinnest_wall`` [mm], ``thin_share`` (fraction of the surface with walls below `wall`),
+        ``base_area`` [mm^2] and ``warnings``.
 
     Raises:
-        ExportError: if there is no clay, or the file cannot be written; see `write_mesh`.
-        SurfaceError: if the particles have no surface; see `surface.reconstruct`.
+        ExportError: There is no clay, or the file cannot be written; see `write_mesh`.
+        SurfaceError: The particles have no surface; see `core.surface.exact.reconstruct`.
     """
     target = check_target(path, unit=unit)
     if objects is None:
@@ -159,14 +155,13 @@ def export_clay(
     if not objects:
         raise ExportError("There is no clay to export. Make clay first.")
     surface, particle_count, volume = clay_surface(context, objects)
-    printed = target.suffix.lower() in PRINTED
-    if printed:
+    for_printing = target.suffix.lower() in PRINTED
+    if for_printing:
         surface = untangle(surface)
     volume_error = surface.volume / volume - 1
     if base > 0:
         surface = flat_base(surface, base / 1000)
     write_mesh(surface, target, unit=unit)
-    checked = _print_table(surface, wall) if printed else None
     return {
         "file": str(target),
         "particles": particle_count,
@@ -174,31 +169,31 @@ def export_clay(
         "faces": len(surface.faces),
         "volume": surface.volume,
         "volume_error": volume_error,
-        # Holds by construction; `reconstruct` raises otherwise.
+        # By construction; `reconstruct` raises an error otherwise.
         "watertight": True,
         "size": (1000 * np.ptp(surface.vertices, axis=0)).tolist(),
-        "print": checked,
+        "print": _print_table(surface, wall) if for_printing else None,
     }
 
 
 def _print_table(surface: Surface, wall: float) -> dict[str, Any]:
-    found = check_print(surface, wall=wall / 1000)
+    report = check_print(surface, wall=wall / 1000)
     warnings = []
-    if found.crossings:
+    if report.crossings:
         warnings.append(
-            f"{found.crossings} pairs of triangles cross each other, where films of clay are "
-            "thinner than its particles are apart. Most slicers mend that; thicker clay has none."
+            f"{report.crossings} pairs of triangles intersect, where layers of clay are thinner "
+            "than the particle spacing. Most slicers repair this; thicker clay avoids it."
         )
-    # A few triangles at a sharp edge are no wall.
-    if found.thin_share > 1e-3:
+    # A few triangles at a sharp edge are not a thin wall.
+    if report.thin_share > 1e-3:
         warnings.append(
-            f"{found.thin_share:.1%} of the surface has walls thinner than {wall:g} mm, the "
-            f"thinnest {1000 * found.thinnest_wall:.2g} mm. They may not print."
+            f"{report.thin_share:.1%} of the surface has walls thinner than {wall:g} mm, the "
+            f"thinnest {1000 * report.thinnest_wall:.2g} mm. They may fail to print."
         )
     return {
-        "crossings": found.crossings,
-        "thinnest_wall": 1000 * found.thinnest_wall,
-        "thin_share": found.thin_share,
+        "crossings": report.crossings,
+        "thinnest_wall": 1000 * report.thinnest_wall,
+        "thin_share": report.thin_share,
         "base_area": 1e6 * base_area(surface),
         "warnings": warnings,
     }
@@ -213,19 +208,19 @@ def _unit_of(suffix: str, unit: str) -> str:
 def clay_surface(
     context: bpy.types.Context, objects: Sequence[bpy.types.Object]
 ) -> tuple[Surface, int, float]:
-    """Reconstruct clay objects as they are at the current frame, in world space.
+    """Reconstruct the surface of clay objects at the current frame, in world space.
 
     Returns:
         The surface [m], the number of particles, and their volume [m^3].
 
     Raises:
-        ExportError: if an object is no clay.
-        SurfaceError: if the particles have no surface.
+        ExportError: An object is not clay.
+        SurfaceError: The particles have no surface.
     """
     scene = context.scene
     scale = meters_per_unit(scene)
     try:
-        parts = [part.scaled(scale) for part in _shown(scene, objects)]
+        parts = [part.scaled(scale) for part in _shown_particles(scene, objects)]
         return particles_surface(parts)
     except ShownClayError as error:
         raise ExportError(str(error)) from error
@@ -236,8 +231,10 @@ def clay_surface(
         ) from error
 
 
-def _shown(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> list[ShownParticles]:
-    """The particles that are seen at the current frame, whether they are baked or not."""
+def _shown_particles(
+    scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]
+) -> list[ShownParticles]:
+    """The particles shown at the current frame, baked or not."""
     from ..playback.shown_clay import ShownClay
 
     return ShownClay(scene, objects, None).read(shown_moment(scene))
@@ -254,18 +251,18 @@ def _encode(
     normals: NDArray[np.float64],
     colors: NDArray[np.float32] | None,
 ) -> bytes:
-    """Return the content of a file."""
+    """Encode a mesh in the format of a suffix."""
     import trimesh
 
-    # Given normals keep trimesh from making its own, which without scipy, as in Blender, takes time
-    # that grows with the square of the size.
+    # Without these, trimesh computes normals itself. Without scipy, as in Blender, this takes
+    # quadratic time.
     mesh = trimesh.Trimesh(
         vertices, faces, vertex_normals=normals, process=False, metadata={"name": "Clay"}
     )
     if suffix == ".stl":
         return mesh.export(file_type="stl")
     if suffix == ".glb":
-        # Without a material glTF's default shows, which is metal.
+        # Without a material, glTF's default applies, which is metallic.
         material = trimesh.visual.material.PBRMaterial(
             name="Clay", metallicFactor=0.0, roughnessFactor=0.6
         )
@@ -277,7 +274,7 @@ def _encode(
         mesh.visual = trimesh.visual.ColorVisuals(mesh, vertex_colors=_eight_bits(_srgb(colors)))
     if suffix == ".ply":
         return mesh.export(file_type="ply", vertex_normal=False)
-    # An OBJ file of trimesh has a fixed number of decimals. Nine digits hold single precision.
+    # trimesh writes OBJ with a fixed number of decimals. Single precision needs nine digits.
     decimals = max(6, 8 - math.floor(math.log10(np.abs(vertices).max())))
     text: str = mesh.export(
         file_type="obj", include_normals=True, digits=decimals, header="Tactile Clay"
@@ -286,17 +283,17 @@ def _encode(
 
 
 def _srgb(colors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Linear RGBA as sRGB; alpha stays."""
+    """Convert linear RGBA to sRGB; alpha is unchanged."""
     linear = np.clip(colors[:, :3], 0, 1)
-    bent = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.concatenate([bent, colors[:, 3:]], axis=1).astype(np.float32)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.concatenate([encoded, colors[:, 3:]], axis=1).astype(np.float32)
 
 
 def _eight_bits(colors: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.rint(np.clip(colors, 0, 1) * 255).astype(np.uint8)
 
 
-def _write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def _write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         replace_file(path, temporary, write)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export Clay as an operator with a file browser."""
+"""Operator to export clay, with a file browser."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
         name="Unit",
         description="Unit of the numbers in the file",
         items=(
-            (AUTO, "Automatic", "Millimeters in STL and 3MF, as slicers read them, else meters"),
-            ("m", "Meters", "As Blender's own exporters write"),
-            ("mm", "Millimeters", "As programs for 3D printing read STL"),
+            (AUTO, "Automatic", "Millimeters in STL and 3MF, as slicers expect, else meters"),
+            ("m", "Meters", "As in Blender's own exporters"),
+            ("mm", "Millimeters", "As 3D printing software expects in STL"),
         ),
         default=AUTO,
     )
     base: bpy.props.FloatProperty(
         name="Flat Base (mm)",
-        description="Cut this much off the bottom [mm], for the clay to stand on; 0 leaves it",
+        description="Height to cut off at the bottom [mm] for the clay to stand on; 0 for none",
         default=0.0,
         min=0.0,
         soft_max=10.0,
     )
     wall: bpy.props.FloatProperty(
         name="Thinnest Wall (mm)",
-        description="Warn of thinner walls in STL and 3MF [mm]",
+        description="Warn about thinner walls in STL and 3MF [mm]",
         default=MIN_WALL,
         min=0.0,
         soft_max=5.0,
@@ -53,13 +53,13 @@ class CLAY_OT_export(bpy.types.Operator, ExportHelper):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
+        """Require clay in the scene."""
         from ..model.clay_scene import clay_objects
 
         return bool(clay_objects(context.scene))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Export, or report why not."""
+        """Export the clay, or report why it cannot be exported."""
         from ..model.clay_scene import clay_objects
         from ..playback.playback import message
         from ..playback.poses import needs_no_cache

@@ -19,10 +19,10 @@ import bpy
 import numpy as np
 
 from ..clay.look import set_input
-from ..core.storage.whole_files import replace_file
+from ..core.storage.atomic_files import replace_file
 from ..core.surface.exact import Surface
 from ..playback.shown_clay import ShownParticles
-from .nodes import FILE_COLOR, late_group
+from .nodes import FILE_COLOR, delayed_group
 
 VELOCITY_ATTRIBUTE = "velocity"
 """What Cycles makes motion blur from, per second."""
@@ -127,7 +127,7 @@ class FrameWriter:
             assert surface.velocities is not None
             _add_attribute(mesh, FILE_COLOR, "FLOAT_COLOR", "color", surface.colors)
             _add_attribute(mesh, VELOCITY_ATTRIBUTE, "FLOAT_VECTOR", "vector", surface.velocities)
-            _add_late(item, made, "FACE")
+            _add_delayed(item, made, "FACE")
             return
         # Alembic of Blender has no other colors, and no velocities.
         layer = mesh.attributes.new(FILE_COLOR, "BYTE_COLOR", "CORNER")
@@ -154,7 +154,7 @@ class FrameWriter:
             whole = np.concatenate(values) if isinstance(values, list) else values
             _add_attribute(mesh, name, kind, key, whole)
         item = _add_object(scene, made, "points", bpy.data.pointclouds.new("points"))
-        modifier = _add_late(item, made, "POINT")
+        modifier = _add_delayed(item, made, "POINT")
         set_input(modifier, "Particles", source)
         set_input(modifier, "Radius", 0.5 * particles[0].spacing)
         made += [source, mesh]
@@ -279,8 +279,10 @@ def _add_object(
     return item
 
 
-def _add_late(item: bpy.types.Object, made: list[bpy.types.ID], domain: str) -> bpy.types.Modifier:
-    group = late_group(domain)
+def _add_delayed(
+    item: bpy.types.Object, made: list[bpy.types.ID], domain: str
+) -> bpy.types.Modifier:
+    group = delayed_group(domain)
     made.append(group)
     modifier = item.modifiers.new("Late", "NODES")
     modifier.node_group = group

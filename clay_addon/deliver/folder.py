@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of a delivery: it is there whole or not at all, and nothing else is in its way."""
+"""The folder of a delivery, which is replaced as a whole and never overwrites other files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pathlib import Path
 import bpy
 
 from ...solver.core.errors import TactileClayError
-from ..core.storage.whole_files import lock_file
+from ..core.storage.atomic_files import lock_file
 
-NOTE = "delivery.json"
-"""Marks a folder as a delivery, which may be replaced, and says what is in it."""
+MANIFEST_NAME = "delivery.json"
+"""File that describes a delivery, and marks its folder as replaceable."""
 
 
 class DeliveryError(TactileClayError):
@@ -23,10 +23,11 @@ class DeliveryError(TactileClayError):
 
 
 def resolve_folder(scene: bpy.types.Scene, directory: str | os.PathLike[str] | None = None) -> Path:
-    """The folder of a scene's delivery as an absolute path.
+    """Absolute path of the folder for a scene's delivery.
 
     Raises:
-        DeliveryError: No folder is set, or it is relative to a .blend that was never saved.
+        DeliveryError: No folder is set, it is relative to a .blend that was never saved, or it
+            holds other files.
     """
     text = os.fspath(directory) if directory is not None else scene.tactile_clay.delivery_directory
     if not text:
@@ -39,21 +40,21 @@ def resolve_folder(scene: bpy.types.Scene, directory: str | os.PathLike[str] | N
     path = Path(bpy.path.abspath(text)).absolute()
     if path.exists() and not path.is_dir():
         raise DeliveryError(f"{path} is a file. Choose a folder for the delivery.")
-    if path.is_dir() and any(path.iterdir()) and not (path / NOTE).is_file():
+    if path.is_dir() and any(path.iterdir()) and not (path / MANIFEST_NAME).is_file():
         raise DeliveryError(
-            f"{path} holds other files than a delivery. Choose another folder, so that they are "
-            "not lost."
+            f"{path} contains files that are not part of a delivery and would be lost. Choose "
+            "another folder."
         )
     return path
 
 
 @contextmanager
 def partial_folder(target: Path) -> Iterator[Path]:
-    """A folder beside the target that is gone afterwards, unless it was moved.
+    """Create a folder beside the target, and remove it afterward unless it was moved.
 
     Raises:
-        DeliveryError: Another process delivers into the same folder.
-        OSError: It cannot be made.
+        DeliveryError: Another process is delivering to the same folder.
+        OSError: The folder cannot be created.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.name}.partial")
@@ -63,23 +64,22 @@ def partial_folder(target: Path) -> Iterator[Path]:
             lock_file(lock.fileno())
         except BlockingIOError:
             raise DeliveryError(
-                f"Another process is delivering into {target}. Wait for it, or choose another "
-                "folder."
+                f"Another process is delivering to {target}. Wait for it, or choose another folder."
             ) from None
-        # One that was killed leaves its folder.
+        # A killed process leaves its folder.
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir()
         try:
             yield partial
         finally:
             shutil.rmtree(partial, ignore_errors=True)
-            # Some systems remove no file that is open; it does no harm.
+            # Some systems cannot remove an open file; a remaining one does no harm.
             with suppress(OSError):
                 lock_path.unlink()
 
 
 def replace_folder(partial: Path, target: Path) -> None:
-    """Put the new delivery in the place of the old one, which comes back if that fails."""
+    """Replace the old delivery by the new one; if that fails, restore the old one."""
     old = target.with_name(f".{target.name}.old")
     shutil.rmtree(old, ignore_errors=True)
     if target.exists():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object that plays a delivery: a Mesh Sequence Cache and stock nodes, none of the add-on."""
+"""The object that plays a delivery with a Mesh Sequence Cache and nodes, without the add-on."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ MODIFIER_NAME = "Clay Delivery"
 _MARK = "tactile_clay_delivery"
 _POINTS_MARK = "tactile_clay_delivery_points"
 _HIDDEN_MARK = "tactile_clay_delivered"
-"""Custom property of clay that a delivery hid: whether it was to be rendered before."""
+"""Custom property of clay hidden by a delivery: whether it was visible in renders before."""
 
 
 def delivered_object(scene: bpy.types.Scene) -> bpy.types.Object | None:
-    """The object of a scene that plays a delivery; None where there is none."""
+    """The object of a scene that plays a delivery; None if there is none."""
     return next((item for item in scene.objects if item.get(_MARK)), None)
 
 
 def close_delivery(scene: bpy.types.Scene) -> None:
-    """Let go of the files of a delivery; the object that played it stays, and shows nothing."""
+    """Close the files of a delivery; the object that played them remains, and shows nothing."""
     for item in (delivered_object(scene), _points_object(scene)):
         for modifier in item.modifiers if item else ():
             if modifier.type == "MESH_SEQUENCE_CACHE" and modifier.cache_file is not None:
-                used = modifier.cache_file
+                cache_file = modifier.cache_file
                 modifier.cache_file = None
-                if used.users == 0:
-                    bpy.data.batch_remove([used])
+                if cache_file.users == 0:
+                    bpy.data.batch_remove([cache_file])
 
 
 def show_delivery(
@@ -53,19 +53,18 @@ def show_delivery(
     *,
     points: bool = False,
 ) -> bpy.types.Object:
-    """Play a delivery in place of the clay, which is hidden.
+    """Hide the clay and play a delivery in its place.
 
-    An object that played an earlier delivery plays this one, with the material and the modifiers
-    that it was given since.
+    An object that played an earlier delivery is reused, with its current material and modifiers.
 
     Args:
-        scene: Where the clay is.
-        clay: What was delivered.
-        folder: Where the files are.
+        scene: Scene of the clay.
+        clay: The delivered clay objects.
+        folder: Folder of the delivery.
         kind: ``usd`` or ``abc``.
         shapes: Name of the file shown at each frame.
-        object_path: Where in a file the surface is.
-        points: Whether the files have the particles too: an object that plays them is made, hidden.
+        object_path: Path of the surface within a file.
+        points: Whether the files contain particles, for which a hidden object is added.
 
     Returns:
         The object that plays the surface.
@@ -91,23 +90,23 @@ def show_delivery(
         if _HIDDEN_MARK not in part:
             part[_HIDDEN_MARK] = not part.hide_render
         part.hide_render = True
-        # Not in the view layer where its collection is excluded.
+        # Fails if the collection is excluded from the view layer.
         with contextlib.suppress(RuntimeError):
             part.hide_set(True)
     return item
 
 
 def remove_delivery(scene: bpy.types.Scene) -> bool:
-    """Show the clay again, not what was delivered. The files stay on the disk.
+    """Show the clay again in place of the delivery. The files remain on disk.
 
     Returns:
         Whether a delivery was shown.
     """
     item = delivered_object(scene)
     close_delivery(scene)
-    for made in (item, _points_object(scene)):
-        if made is not None:
-            _remove(made)
+    for player in (item, _points_object(scene)):
+        if player is not None:
+            _remove(player)
     for part in scene.objects:
         if _HIDDEN_MARK in part:
             part.hide_render = not part[_HIDDEN_MARK]
@@ -126,7 +125,7 @@ def _new_points(scene: bpy.types.Scene) -> bpy.types.Object:
     item[_POINTS_MARK] = True
     scene.collection.objects.link(item)
     item.modifiers.new("Mesh Sequence Cache", "MESH_SEQUENCE_CACHE")
-    # They lie inside the surface.
+    # The points are inside the surface.
     item.hide_render = True
     with contextlib.suppress(RuntimeError):
         item.hide_set(True)
@@ -166,7 +165,7 @@ def _open(path: Path) -> bpy.types.CacheFile:
     before = set(bpy.data.cache_files)
     bpy.ops.cachefile.open(filepath=str(path))
     (cache_file,) = set(bpy.data.cache_files) - before
-    # The operator counts itself as a user, so that the file would never be let go of.
+    # The operator adds a user, so that the file would never be closed.
     cache_file.user_clear()
     if bpy.data.filepath:
         with contextlib.suppress(ValueError):

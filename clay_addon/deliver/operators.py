@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake to USD or Alembic as an operator, with progress and Esc in the interface."""
+"""Operators to bake to USD or Alembic, with progress in the interface and Esc to stop."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .object import delivered_object, remove_delivery
 
 
 def delivery_text(result: DeliveryResult) -> str:
-    """What a delivery did, in a sentence or two."""
+    """Summary of a delivery for the user."""
     shapes = f"{result.shapes} shapes" if result.shapes != 1 else "1 shape"
     return (
         f"Frames {result.start} to {result.end}, {shapes}: {size_text(result.bytes)}, "
@@ -27,7 +27,7 @@ def delivery_text(result: DeliveryResult) -> str:
 class CLAY_OT_deliver(  # noqa: N801
     SteppedOperator[DeliveryProgress, DeliveryResult], bpy.types.Operator
 ):
-    """Write the clay's surface over time and play that in place of the clay: the .blend and its
+    """Write the clay's surface over time and play it in place of the clay: the .blend and its
     folder then play and render anywhere. Esc stops and changes nothing"""
 
     bl_idname = "clay.deliver"
@@ -37,32 +37,32 @@ class CLAY_OT_deliver(  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is clay."""
+        """Require clay in the scene."""
         return bool(clay_objects(context.scene))
 
     def begin(
         self, context: bpy.types.Context
     ) -> Generator[DeliveryProgress, None, DeliveryResult]:
-        """Deliver as the scene's properties say."""
+        """Deliver with the scene's settings."""
         properties = context.scene.tactile_clay
         return deliver_steps(
             context, kind=properties.delivery_kind, points=properties.delivery_points
         )
 
     def status(self, step: DeliveryProgress) -> str:
-        """Frame, size and time left."""
+        """Current frame, size and remaining time."""
         return (
             f"Writing clay: frame {step.frame}, {step.done} of {step.total}, "
             f"{size_text(step.bytes)}, {duration_text(step.seconds_left)} left   Esc: stop"
         )
 
     def report_result(self, result: DeliveryResult) -> None:
-        """Say what was written."""
+        """Report a summary of the delivery."""
         self.report({"INFO"}, f"{delivery_text(result)}. Save the .blend to keep it.")
 
 
 class CLAY_OT_deliver_remove(bpy.types.Operator):  # noqa: N801
-    """Show the clay again in place of what was delivered; its files stay on the disk"""
+    """Show the clay again in place of the delivered files, which remain on disk"""
 
     bl_idname = "clay.deliver_remove"
     bl_label = "Show Clay Again"
@@ -70,7 +70,7 @@ class CLAY_OT_deliver_remove(bpy.types.Operator):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where something is delivered."""
+        """Require a delivery in the scene."""
         return delivered_object(context.scene) is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -89,6 +89,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister the operators; Blender ends a delivery that runs."""
+    """Unregister the operators; Blender ends a running delivery."""
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The section *Delivery* of the Clay tab: keyed poses, held shapes, files that play anywhere."""
+"""The Delivery panel of the Clay tab: keyed poses, held shapes, USD and Alembic files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .object import delivered_object
 
 
 class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801
-    """What leaves Blender as animation."""
+    """Animation and delivery of the clay."""
 
     bl_label = "Delivery"
     bl_order = 7
@@ -25,7 +25,7 @@ class CLAY_PT_delivery(bpy.types.Panel):  # noqa: N801
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Only once there is clay."""
+        """Require clay in the scene."""
         return bool(clay_objects(context.scene))
 
     def draw(self, context: bpy.types.Context) -> None:

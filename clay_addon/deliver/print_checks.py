@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether a surface can be printed: faces that cross, walls that are thin, a base that is flat."""
+"""Printability of a surface: intersecting triangles, thin walls, and a flat base."""
 
 from __future__ import annotations
 
@@ -15,47 +15,47 @@ from ..core.surface.exact import Surface, SurfaceError
 from .files import triangle_mesh
 
 MAX_RAY_COUNT = 50_000
-"""Walls are measured at so many vertices at most, evenly picked: one in two of a surface of 100,000
-particles, which still are less than a particle apart."""
-MAX_UNTANGLING = 15
-"""Rounds of drawing back; what still crosses then would take the shape with it."""
-_OPPOSITE = 0.5
-"""The least cosine between a ray and the normal where it leaves, for what it passed to be a wall.
-A ray that grazes the flank of an edge measures none."""
+"""Maximum number of vertices at which walls are measured, evenly sampled: every second one for
+100,000 particles, which is still less than a particle spacing apart."""
+MAX_UNTANGLING_ROUNDS = 15
+"""Maximum number of smoothing rounds; more would deform the shape."""
+_MIN_EXIT_COSINE = 0.5
+"""Minimum cosine between a ray and the normal at its exit for the distance to count as a wall:
+a ray that exits at a grazing angle near an edge does not measure one."""
 
 
 @dataclass(frozen=True)
 class PrintReport:
-    """What was found in a surface; lengths in the unit of its vertices."""
+    """Printability of a surface; lengths in the unit of its vertices."""
 
     crossings: int
-    """Pairs of triangles that cross each other."""
+    """Number of intersecting pairs of triangles."""
     thinnest_wall: float
-    """The least distance straight through the clay."""
+    """Thickness of the thinnest wall."""
     thin_share: float
-    """The part of the surface, by area, whose wall is thinner than asked for; 0 to 1."""
+    """Fraction of the surface area whose wall is thinner than the limit, 0 to 1."""
 
 
 def check_print(surface: Surface, *, wall: float) -> PrintReport:
-    """Look for what keeps a surface from being printed.
+    """Check a surface for problems in 3D printing.
 
-    The surface is closed by construction; see `surface.check_closed_manifold`. A wall is measured
-    by a ray from a vertex straight inward to where it leaves the clay.
+    The surface is closed by construction; see `Surface.check`. The thickness of a wall is measured
+    along a ray from a vertex straight inward to its exit from the clay.
 
     Args:
         surface: The surface.
-        wall: The thinnest wall that can be printed.
+        wall: Thickness of the thinnest printable wall.
     """
-    # A tree measures in single precision: near the origin and about one in size it is at its best.
+    # The tree is single-precision, which is most accurate near the origin at a size of about 1.
     center = surface.vertices.mean(axis=0)
     size = float(np.ptp(surface.vertices, axis=0).max()) or 1.0
     local = (surface.vertices - center) / size
     tree = _tree(local, surface.faces)
     crossings = len(_crossings(tree, local, surface.faces))
     stride = -(-len(local) // MAX_RAY_COUNT)
-    picked = np.arange(0, len(local), stride)
-    walls = np.array(list(_walls(tree, local[picked], surface.normals[picked])))
-    area = _vertex_areas(local, surface.faces)[picked]
+    samples = np.arange(0, len(local), stride)
+    walls = np.array(list(_wall_thicknesses(tree, local[samples], surface.normals[samples])))
+    area = _vertex_areas(local, surface.faces)[samples]
     thin = walls < wall / size
     return PrintReport(
         crossings=crossings,
@@ -65,31 +65,31 @@ def check_print(surface: Surface, *, wall: float) -> PrintReport:
 
 
 def untangle(surface: Surface) -> Surface:
-    """Let a surface that crosses itself, as in the notch between two balls, draw back from itself.
+    """Remove self-intersections of a surface, as in the notch between two balls.
 
-    Around triangles that cross, vertices go half the way to the middle of their neighbors, again
-    and again until none cross. It stays closed; its volume changes by less than a thousandth.
+    Vertices around intersecting triangles move halfway to the mean of their neighbors, repeatedly
+    until no triangles intersect. The surface stays closed; its volume changes by less than 0.1 %.
 
     Args:
         surface: A closed surface.
 
     Returns:
-        The same where nothing crosses. Some crossings may be left in films thinner than the
-        particles are apart.
+        The surface, unchanged if it has no intersections. Some may remain in layers thinner than
+        the particle spacing.
     """
     center = surface.vertices.mean(axis=0)
     size = float(np.ptp(surface.vertices, axis=0).max()) or 1.0
     vertices, faces = (surface.vertices - center) / size, surface.faces
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     moved = False
-    for _ in range(MAX_UNTANGLING):
+    for _ in range(MAX_UNTANGLING_ROUNDS):
         pairs = _crossings(_tree(vertices, faces), vertices, faces)
         if not len(pairs):
             break
         near = np.zeros(len(vertices), bool)
         near[faces[pairs].ravel()] = True
         near[end[near[start]]] = True
-        # Each edge of a closed surface is there in both directions.
+        # A closed surface has each edge in both directions.
         edges = near[start]
         count = np.bincount(start[edges], minlength=len(vertices))[near, None]
         total = [np.bincount(start[edges], p, len(vertices))[near] for p in vertices[end[edges]].T]
@@ -99,28 +99,28 @@ def untangle(surface: Surface) -> Surface:
 
 
 def flat_base(surface: Surface, depth: float) -> Surface:
-    """Cut the lowest part of a surface off, so that it stands on a flat base.
+    """Cut off the lowest part of a surface, so that it has a flat base.
 
     Args:
         surface: A closed surface.
-        depth: How much to cut off its lowest point, along Z.
+        depth: Height to cut off above its lowest point.
 
     Returns:
         A closed surface.
 
     Raises:
-        SurfaceError: nothing or no closed surface is left.
+        SurfaceError: Nothing remains, or the result is not closed.
     """
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     if not 0 < depth < high[2] - low[2]:
         raise SurfaceError(
-            f"A base of {depth:.3g} cannot be cut off clay that is {high[2] - low[2]:.3g} high."
+            f"A base of {depth:.3g} cannot be cut from clay that is {high[2] - low[2]:.3g} high."
         )
-    # Blender's meshes are single precision; about one in size they are at their best.
+    # Blender's meshes are single-precision, which is most accurate at a size of about 1.
     size = float((high - low).max())
     local = replace(surface, vertices=(surface.vertices - low) / size)
     fault: SurfaceError | None = None
-    # The second one takes longer and bears surfaces that cross themselves.
+    # The second solver is slower but accepts self-intersecting surfaces.
     for solver in ("MANIFOLD", "EXACT"):
         vertices, faces = _cut(local, depth / size, solver)
         cut = Surface(vertices * size + low, faces)
@@ -137,7 +137,7 @@ def flat_base(surface: Surface, depth: float) -> Surface:
 
 
 def base_area(surface: Surface) -> float:
-    """Area of the faces at the lowest height, which a print stands on."""
+    """Area of the faces at the lowest height, on which a print stands."""
     heights = surface.vertices[surface.faces][:, :, 2]
     lowest = heights.min()
     tolerance = 1e-5 * (heights.max() - lowest)
@@ -154,8 +154,8 @@ def _tree(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> BVHTree:
 def _crossings(
     tree: BVHTree, vertices: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Pairs of triangles of which an edge of one runs through the other, shape [P, 2]."""
-    # Neighbors that only touch are among what a tree in single precision finds.
+    """Pairs of triangles in which an edge of one passes through the other, shape [P, 2]."""
+    # The single-precision tree also finds neighbors that only touch.
     found = {(min(pair), max(pair)) for pair in tree.overlap(tree)}
     pairs = np.array(sorted(found), np.int64).reshape(-1, 2)
     crosses = np.zeros(len(pairs), bool)
@@ -171,22 +171,25 @@ def _crossings(
 
 
 def _volume(*corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Six times the signed volume of tetrahedra; 0 where it is too small to have a sign."""
+    """Six times the signed volume of tetrahedra; 0 if it is too small for a reliable sign."""
     a, b, c, d = corners
     volume = np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a))
     size = np.abs(np.stack([b - a, c - a, d - a])).max(axis=(0, 2))
     return np.where(np.abs(volume) > 1e-12 * size**3, volume, 0.0)
 
 
-def _walls(
+def _wall_thicknesses(
     tree: BVHTree, points: NDArray[np.float64], normals: NDArray[np.float64]
 ) -> Iterator[float]:
-    """The way straight through the clay from each point; infinite where there is no wall."""
-    # Begun a little inside, so that no ray ends where it begins.
+    """Distance straight through the clay from each point; infinite where there is no wall."""
+    # Rays start slightly inside, so that they do not hit their own start.
     skin = 1e-5
     for point, inward in zip((points - skin * normals).tolist(), (-normals).tolist(), strict=True):
         _, normal, _, distance = tree.ray_cast(point, inward)
-        if normal is None or sum(a * b for a, b in zip(normal, inward, strict=True)) < _OPPOSITE:
+        if (
+            normal is None
+            or sum(a * b for a, b in zip(normal, inward, strict=True)) < _MIN_EXIT_COSINE
+        ):
             yield np.inf
         else:
             yield distance + skin
@@ -202,7 +205,7 @@ def _vertex_areas(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> ND
 def _cut(
     surface: Surface, height: float, solver: str
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """What of a surface is above a height."""
+    """Vertices and faces of the closed part of a surface above a height."""
     scene = bpy.data.scenes.new("Clay Print")
     mesh, box = triangle_mesh("Clay Print", surface), bpy.data.meshes.new("Clay Print")
     corners = [(x, y, z) for x in (-1.0, 2.0) for y in (-1.0, 2.0) for z in (height, 2.0)]
@@ -235,14 +238,14 @@ def _cut(
 
 
 def _nearest(known: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The nearest vertex of a surface to each point."""
+    """Index of the known point nearest to each point."""
     from ..core.surface.particle_grid import ParticleGrid
 
     extent = float(np.ptp(known, axis=0).max())
     best = np.full(len(points), -1)
-    # Nearly all are vertices still; those of the cut lie on edges.
-    for share in (1e-3, 1e-2, 1e-1, 1.0):
+    # Nearly all points coincide with vertices; only those of the cut are on edges.
+    for fraction in (1e-3, 1e-2, 1e-1, 1.0):
         left = np.flatnonzero(best < 0)
         if len(left):
-            best[left] = ParticleGrid(known, share * extent).nearest(points[left])
+            best[left] = ParticleGrid(known, fraction * extent).nearest(points[left])
     return np.maximum(best, 0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render baked frames, any share of a shot at a time, as render farms do.
+"""Rendering of baked frames, in parts of a shot, as on a render farm.
 
-Blender's own ``-f`` renders whatever shape playback happens to have when a frame is not baked, and
-a machine that dies leaves half a picture which the next one takes for done. Here a frame that is
-not baked is an error before anything is rendered, and a picture is there whole or not at all.
+With Blender's own ``-f``, a frame that is not baked is rendered with whatever shape playback shows,
+and a machine that fails leaves a partial image that the next one takes for finished. Here, missing
+frames are an error before anything is rendered, and images are written atomically.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import bpy
 
 from ...solver.core.errors import TactileClayError
 from ..base.clock import animation_time, go_to, shown_moment
+from ..core.storage.atomic_files import replace_file
 from ..core.storage.playback import MAX_FRAME, NO_SUCH_FRAME, held_frame
-from ..core.storage.whole_files import replace_file
 from ..model.clay_scene import clay_objects
 from ..playback.playback import cache_of, message
 from ..playback.poses import needs_no_cache
@@ -40,26 +40,26 @@ class FrameNotBakedError(RenderError):
 
 @dataclass(frozen=True)
 class RenderProgress:
-    """How far a render is."""
+    """Progress of a render."""
 
     frame: int
     """The frame just finished."""
     path: Path
-    """Its picture."""
+    """Image of the frame."""
     done: int
-    """Frames done, of `total`."""
+    """Number of frames done, out of `total`."""
     total: int
-    """Frames to render."""
+    """Number of frames to render."""
 
 
 @dataclass(frozen=True)
 class RenderResult:
-    """What a render did."""
+    """Result of a render."""
 
     rendered: int
-    """Frames that were rendered and written."""
+    """Number of frames rendered and written."""
     kept: int
-    """Frames whose picture was there already."""
+    """Number of frames whose image already existed."""
     files: tuple[Path, ...]
     """The pictures on the disk, in the order of the frames asked for."""
 
@@ -72,27 +72,27 @@ def render_frames(
     resume: bool = False,
     progress: Callable[[RenderProgress], object] | None = None,
 ) -> RenderResult:
-    """Render frames of a scene to pictures, with the scene's engine and format.
+    """Render frames of a scene to images, with the scene's engine and format.
 
     Args:
-        context: Its scene is rendered; its frame and settings are the same afterwards.
+        context: Its scene is rendered; current frame and settings are restored afterward.
         frames: Frame numbers.
-        output: Path of the pictures, in which ``####`` stands for the frame's number, as in
-            Blender's own output path; the scene's where not given.
-        resume: Keep the pictures that are there.
-        progress: Called after each frame that was rendered.
+        output: Path of the images, in which ``####`` is replaced by the frame number, as in
+            Blender's own output path; by default from the scene's settings.
+        resume: Whether to keep existing images.
+        progress: Called after each rendered frame.
 
     Raises:
         FrameNotBakedError: The clay is not baked at a frame.
-        RenderError: The scene renders to a film, which cannot be made in parts, Blender cannot
-            render it (there is no camera, say), or a picture cannot be written.
+        RenderError: The output format is a video, which cannot be made in parts, Blender cannot
+            render the scene (without a camera, for example), or an image cannot be written.
     """
     scene = context.scene
     render = scene.render
     if render.is_movie_format:
         raise RenderError(
-            f"The scene's output format is a film ({render.image_settings.file_format}). Choose a "
-            "format of pictures, such as PNG, and make a film of them afterwards."
+            f"The scene's output format is a video ({render.image_settings.file_format}). Choose "
+            "an image format, such as PNG, and make a video from the images afterward."
         )
     for frame in frames:
         if abs(frame) > MAX_FRAME:
@@ -100,7 +100,7 @@ def render_frames(
     _check_baked(scene, frames)
     files: list[Path] = []
     rendered = 0
-    with _own_settings(scene), tempfile.TemporaryDirectory(prefix="clay-render-") as folder:
+    with _temporary_settings(scene), tempfile.TemporaryDirectory(prefix="clay-render-") as folder:
         if output is not None:
             render.filepath = os.fspath(output)
         pattern = render.filepath
@@ -118,7 +118,7 @@ def render_frames(
 
 
 def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
-    """Refuse frames that playback would show with another frame's shape."""
+    """Refuse frames that would show the shape of another frame because theirs is not baked."""
     frames = [frame for frame in frames if _shows_bake(scene, frame)]
     if not frames:
         return
@@ -128,22 +128,22 @@ def _check_baked(scene: bpy.types.Scene, frames: Sequence[int]) -> None:
         raise FrameNotBakedError(
             "Nothing is baked"
             + (f" in {cache.directory}" if cache else "")
-            + ". Bake first, or say with --cache where the bake is."
+            + ". Bake first, or set the folder of the bake with --cache."
         )
-    # Before its first frame the clay rests, which is what that frame holds.
+    # Frames before the first one show its rest state.
     first, hold = min(baked), scene.tactile_clay.hold_frames
     missing = sorted({held_frame(f, first=first, hold=hold) for f in frames if f >= first} - baked)
     if missing:
         shown = ", ".join(str(frame) for frame in missing[:8])
         more = f" and {len(missing) - 8} more" if len(missing) > 8 else ""
         raise FrameNotBakedError(
-            f"Not baked in {cache.directory}: frame {shown}{more}. Bake them, or go on with "
+            f"Not baked in {cache.directory}: frame {shown}{more}. Bake them, or continue with "
             "bake --resume."
         )
 
 
 def _shows_bake(scene: bpy.types.Scene, frame: int) -> bool:
-    """Whether any clay is seen as it was baked: not delivered, packed, or keyed as a pose."""
+    """Whether any clay plays the bake at a frame, not a delivery, packed frames or a keyed pose."""
     if delivered_object(scene) is not None:
         return False
     time = animation_time(scene, frame)
@@ -175,19 +175,19 @@ def _render_frame(scene: bpy.types.Scene, frame: int, path: Path, folder: Path) 
         raise RenderError(f"Frame {frame} cannot be rendered: {error}") from error
     written = [file for file in folder.iterdir() if file.is_file()]
     if not written:
-        raise RenderError(f"Frame {frame} was not rendered: Blender wrote no picture.")
+        raise RenderError(f"Frame {frame} was not rendered: Blender wrote no image.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         placed = sorted(path.parent / file.name for file in written)
         for file in written:
-            _place(file, path.parent / file.name)
+            _move(file, path.parent / file.name)
     except OSError as error:
         raise RenderError(f"{path} cannot be written: {error.strerror or error}.") from error
     return placed
 
 
-def _place(file: Path, target: Path) -> None:
-    """Move a file, also to another disk, so that the target is there whole or not at all."""
+def _move(file: Path, target: Path) -> None:
+    """Move a file atomically, even to another disk."""
     with file.open("rb") as source:
         replace_file(
             target,
@@ -198,10 +198,10 @@ def _place(file: Path, target: Path) -> None:
 
 
 @contextmanager
-def _own_settings(scene: bpy.types.Scene) -> Iterator[None]:
-    """Let the context change what says which frames are rendered to where, and put it back."""
+def _temporary_settings(scene: bpy.types.Scene) -> Iterator[None]:
+    """Set up rendering of single frames, and restore the settings afterward."""
     render = scene.render
-    kept = [
+    previous = [
         (owner, name, getattr(owner, name))
         for owner, name in (
             (render, "filepath"),
@@ -219,6 +219,6 @@ def _own_settings(scene: bpy.types.Scene) -> Iterator[None]:
     try:
         yield
     finally:
-        for owner, name, value in kept:
+        for owner, name, value in previous:
             setattr(owner, name, value)
         go_to(scene, moment)

@@ -79,7 +79,7 @@ def resolve_kind(item: bpy.types.Object, kind: str, depsgraph: bpy.types.Depsgra
     vertices = transform(item.evaluated_get(depsgraph).matrix_world, vertices)
     flat = flat_plane(vertices) is not None
     if kind == "PLANE" and not flat:
-        raise ColliderError(f"{item.name!r} is not flat, so it cannot be an endless plane.")
+        raise ColliderError(f"{item.name!r} is not flat, so it cannot be an infinite plane.")
     if kind == "PLANE" or (kind == "AUTO" and flat):
         return "PLANE"
     try:

@@ -23,7 +23,7 @@ import bpy
 from ...solver.core.errors import TactileClayError
 from ...solver.scene.material import MATERIAL_FIELDS, Material
 from ..base.preferences import ADDON
-from ..core.storage.whole_files import replace_text
+from ..core.storage.atomic_files import replace_text
 
 RESERVED_NAMES = ("CUSTOM", "SCENE")
 """Names that the interface uses for other items."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a Blender scene to a solver."""
+"""Conversion of a Blender scene to a solver."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colliders of a simulated scene: what they are at the first frame, and at each later one."""
+"""Colliders of a simulated scene, at the first frame and later ones."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Sheet:
 
 @dataclass
 class MovingCollider:
-    """A mesh collider, as it is at the first frame."""
+    """A mesh collider, which may move and deform."""
 
     item: bpy.types.Object
     """The object."""
     vertices: NDArray[np.float64]
-    """At the first frame, in its coordinates [Blender units], shape [V, 3]."""
+    """Local vertices at the first frame [Blender units], shape [V, 3]."""
     triangles: NDArray[np.int32]
-    """Wound outward, shape [F, 3]."""
+    """Triangles, wound outward, shape [F, 3]."""
     stretch: NDArray[np.float64]
     """Of its matrix at the first frame, without its rotation, shape [3, 3]."""
     sheet: Sheet | None = None
@@ -67,12 +67,12 @@ class MovingCollider:
     def state(
         self, depsgraph: bpy.types.Depsgraph
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Vertices with the object's scale in them [m], and its pose without it [m].
+        """Vertices with the object's scale applied [m], and the object's pose without scale [m].
 
         While it is off in the viewport Blender does not move it, so it stays where it was.
 
         Raises:
-            SimulationError: The solver cannot follow what has become of it.
+            SimulationError: The collider has changed in a way that the solver does not support.
         """
         if self.last is None or not is_absent(self.item, depsgraph):
             self.last = self._state(depsgraph)
@@ -87,7 +87,7 @@ class MovingCollider:
             raise SimulationError(
                 f"{self.item.name!r} has {len(vertices)} vertices at frame "
                 f"{scene.frame_current} and {len(self.vertices)} at the first frame. A "
-                "collider may deform, but the number of its vertices must stay the same."
+                "collider may deform, but its number of vertices must stay the same."
             )
         matrix = np.array(self.item.evaluated_get(depsgraph).matrix_world, np.float64)
         if not (np.isfinite(vertices).all() and np.isfinite(matrix).all()):
@@ -96,8 +96,8 @@ class MovingCollider:
                 f"{scene.frame_current}."
             )
         rotation, stretch = rotation_and_stretch(matrix[:3, :3])
-        # Blender's matrices are single precision: without this, a tool that only turns would seem
-        # to change its shape in every frame.
+        # Blender's matrices are single precision: without this, a collider that only rotates would
+        # seem to deform in every frame.
         if np.allclose(stretch, self.stretch, rtol=0.0, atol=2e-6 * np.abs(stretch).max()):
             stretch = self.stretch
         elif np.linalg.det(stretch) * np.linalg.det(self.stretch) <= 0.0:
@@ -119,26 +119,26 @@ class MovingCollider:
 
 @dataclass
 class FlatCollider:
-    """An endless plane, which stands still."""
+    """An infinite plane, which cannot move."""
 
     item: bpy.types.Object
     """The object."""
     point: NDArray[np.float64]
-    """A point of it in the world [Blender units], shape [3]."""
+    """A point on the plane in world space [Blender units], shape [3]."""
     normal: NDArray[np.float64]
     """Unit normal towards the clay, shape [3]."""
     handle: Plane | None = None
     """What stands for it in the solver's scene."""
 
     def check(self, depsgraph: bpy.types.Depsgraph, spacing: float) -> None:
-        """Refuse a plane that was lifted off the clay, or that moves.
+        """Refuse a plane that was disabled or moves.
 
         Args:
-            depsgraph: The state of now.
-            spacing: Distance between particles [Blender units].
+            depsgraph: The evaluated scene.
+            spacing: Particle spacing [Blender units].
 
         Raises:
-            SimulationError: It was; the message names it.
+            SimulationError: The plane is disabled or moves; the message names it.
         """
         frame = depsgraph.scene.frame_current
         if not is_enabled(self.item, depsgraph):
@@ -151,11 +151,11 @@ class FlatCollider:
         vertices, _ = evaluated_mesh(self.item, depsgraph)
         matrix = self.item.evaluated_get(depsgraph).matrix_world
         away = (transform(matrix, vertices) - self.point) @ self.normal
-        # Also where it is not a number.
+        # The negation also catches NaN.
         if not float(np.abs(away).max()) <= 1e-3 * spacing:
             raise SimulationError(
                 f"{self.item.name!r} moves at frame {frame}, but an "
-                "endless plane stands still. Give it thickness (Solidify modifier), so that "
+                "infinite plane cannot move. Give it thickness (Solidify modifier), so that "
                 "it is a closed mesh."
             )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A clay hand while its scene is simulated: how it was bound, and what its bones do."""
+"""Clay hands during a simulation: the rig and the motion of its bones."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from ..tracking.armature import CONTACT_PROPERTY
 if TYPE_CHECKING:
     from ...solver import Hand, Scene
 
-TRACKED_FROM = 0.5
-"""The clay does not feel a hand with less contact than this. When the contact rises above it again,
-the solver lets the hand take hold gradually."""
+MIN_CONTACT = 0.5
+"""A hand with a lower value of the contact property does not touch the clay. When the value rises
+again, the solver restores the contact gradually."""
 
 
 class HandState(NamedTuple):
-    """What a hand does at a frame."""
+    """State of a hand at a frame."""
 
     bones: NDArray[np.float64]
-    """World from each bone's own coordinates [m], in the order of the rig, shape [B, 4, 4]."""
+    """Transform of each bone from local to world space [m], in rig order, shape [B, 4, 4]."""
     tracked: bool
-    """Whether the tracker knows where the hand is."""
+    """Whether the tracker sees the hand."""
 
 
 class MovingHand:
-    """A clay hand of a scene that is simulated.
+    """A clay hand in a simulation.
 
-    Reading the hand links a copy of it into the scene for a moment, so neither a handler nor a
-    panel may do it.
+    The constructor temporarily links a copy of the hand into the scene, so it must not be called
+    from a handler or panel.
 
     Args:
-        context: Where the hand is.
-        item: Its mesh object.
-        hold_stiffness: How stiffly it holds its pose against the clay [N/m]; None where the clay
-            cannot move it.
+        context: The context of the hand.
+        item: Mesh object of the hand.
+        hold_stiffness: Stiffness with which the hand holds its pose against the clay [N/m]; None if
+            the clay cannot move it.
 
     Raises:
-        HandError: It is not bound, or changed since; the message names it and says what to do.
+        HandError: The hand is not bound, or has changed since; the message says what to do.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class MovingHand:
         self.item = item
         self.hold_stiffness = hold_stiffness
         self.rig = read_hand_rig(context, item)
-        # A custom property that is new does not reach the evaluated armature by itself.
+        # Without an update, a new custom property does not reach the evaluated armature.
         hand_armature(item).update_tag()
         self.friction = float(item.tactile_clay.collider_friction)
         self.handle: Hand | None = None
@@ -68,26 +68,26 @@ class MovingHand:
         self._gap: SkinGap | None = None
 
     def digest_parts(self) -> tuple[object, ...]:
-        """What decides how the hand works the clay, apart from its motion."""
-        gives_way = () if self.hold_stiffness is None else (self.hold_stiffness,)
+        """Values that determine the hand's effect on the clay, apart from its motion."""
+        hold_stiffness = () if self.hold_stiffness is None else (self.hold_stiffness,)
         rig = (np.asarray(part) for part in self.rig.to_arrays().values())
-        return (self.friction, *gives_way, *rig)
+        return (self.friction, *hold_stiffness, *rig)
 
     def check(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Refuse a hand that Blender does not evaluate.
 
         Raises:
-            HandError: It, or its armature, is switched off or gone.
+            HandError: The hand or its armature is switched off or missing.
         """
         for part in (self.item, hand_armature(self.item)):
             if is_switched_off(part, depsgraph):
                 raise HandError(f"{part.name!r} {SWITCHED_OFF}")
 
     def start(self, scene: Scene, depsgraph: bpy.types.Depsgraph) -> None:
-        """Add the hand to a solver's scene, where it is at the current frame.
+        """Add the hand to a solver's scene in its pose at the current frame.
 
         Raises:
-            HandError: Its pose is not one to start from.
+            HandError: The pose is impossible.
             ValueError: The solver refuses the hand.
         """
         handle = scene.add_hand(
@@ -105,13 +105,13 @@ class MovingHand:
         self.handle = handle
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> HandState:
-        """Tell the solver, if it runs, what the hand does at the current frame.
+        """Read the hand's pose at the current frame, and pass it to the solver if it is running.
 
         An impossible pose, such as one with a mirrored bone, is dropped and the last good one held;
         `warnings` reports it.
 
         Raises:
-            HandError: The hand is switched off or gone.
+            HandError: The hand is switched off or missing.
         """
         self.check(depsgraph)
         number = depsgraph.scene.frame_current
@@ -140,16 +140,16 @@ class MovingHand:
             if gap is not None and (self._gap is None or gap.meters > self._gap.meters):
                 self._gap = gap
 
-    def held(self) -> NDArray[np.float64]:
+    def held_pose(self) -> NDArray[np.float64]:
         """The last good pose that was given to the solver [m], shape [B, 4, 4]."""
         assert self.handle is not None
         return self.handle.bones
 
-    def hold(self, bones: NDArray[np.float64]) -> None:
-        """Restore a pose that `held` gave.
+    def restore_pose(self, bones: NDArray[np.float64]) -> None:
+        """Restore a pose returned by `held_pose`.
 
         Raises:
-            ValueError: It is not of this hand.
+            ValueError: The pose belongs to another hand.
         """
         assert self.handle is not None
         if bones.shape != self.handle.bones.shape:
@@ -157,7 +157,7 @@ class MovingHand:
         self.handle.set_bones(bones)
 
     def warnings(self) -> list[str]:
-        """What the user should know about the hand's motion."""
+        """Warnings about the hand's motion for the user."""
         found = [self._notice] if self._notice else []
         if self._gap is not None and self._gap.too_large:
             found.append(self._gap.warning(self.item.name))
@@ -189,7 +189,7 @@ class MovingHand:
         contact = armature.get(CONTACT_PROPERTY, 1.0)
         if not isinstance(contact, int | float) or not math.isfinite(contact):
             return False
-        return contact >= TRACKED_FROM
+        return contact >= MIN_CONTACT
 
 
 def _reason(error: Exception) -> str:

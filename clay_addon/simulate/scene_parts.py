@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which clay and which hands of a scene take part in a simulation."""
+"""Selection and checks of the objects that take part in a simulation."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .colliders import first_shown
 from .hand_motion import MovingHand
 
 LIVE_HOLD_STIFFNESS = 600.0
-"""How stiffly a person's hand holds its pose against clay [N/m]: nothing holds it in the air, so a
-fingertip pressed with 6 N is a centimeter behind."""
+"""Stiffness with which a live hand holds its pose against the clay [N/m]: nothing supports the hand
+in the air, so a fingertip pressed with 6 N is held back by a centimeter."""
 
 
 def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
@@ -24,7 +24,7 @@ def read_hands(context: bpy.types.Context, *, live: bool) -> list[MovingHand]:
     In a bake, one that is keyed off is there, and out of contact until its keys switch it on.
 
     Raises:
-        SimulationError: A hand is not bound, or has changed since.
+        SimulationError: A hand is not bound, or has changed since it was bound.
     """
     gives_way = live or context.scene.tactile_clay.hands_give_way
     hold_stiffness = LIVE_HOLD_STIFFNESS if gives_way else None
@@ -64,10 +64,10 @@ def clay_there(
 
 
 def check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
-    """Refuse clay that Blender does not evaluate, or that shares its points.
+    """Refuse clay that Blender does not evaluate, or that shares its point cloud.
 
     Raises:
-        SimulationError: The message names the object and says what to do.
+        SimulationError: An object is unusable; the message says what to do.
     """
     users: dict[bpy.types.ID, bpy.types.Object] = {}
     for item in clay:
@@ -77,20 +77,20 @@ def check_clay(clay: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> 
         if other != item:
             raise SimulationError(
                 f"{item.name!r} is a linked duplicate of {other.name!r}, so both would show the "
-                "same particles. Make it a copy of its own (Object > Relations > Make Single "
+                "same particles. Make it a separate copy (Object > Relations > Make Single "
                 "User > Object & Data)."
             )
 
 
 def common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
-    """The one distance between particles of all clay [Blender units].
+    """The particle spacing shared by all clay [Blender units].
 
     Args:
         clay: The clay objects.
         scale: Length of a Blender unit [m], for the message.
 
     Raises:
-        SimulationError: The objects differ, or one has no spacing.
+        SimulationError: The spacings differ, or an object has none.
     """
     spacings = {item.name: item.tactile_clay.spacing for item in clay}
     first = next(iter(spacings.values()))
@@ -100,7 +100,7 @@ def common_spacing(clay: list[bpy.types.Object], scale: float) -> float:
         if abs(spacing - first) > 1e-6 * first:
             sizes = ", ".join(f"{n!r} {s * scale * 1e3:.3g} mm" for n, s in spacings.items())
             raise SimulationError(
-                f"All clay of a scene needs the same spacing, but there is {sizes}. Make the odd "
-                "ones again."
+                f"All clay in a scene needs the same spacing, but the spacings are {sizes}. Make "
+                "the clay again where the spacing differs."
             )
     return first

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a Blender scene to a solver: clay, colliders, hands, and what decides the result."""
+"""Conversion of a Blender scene to a solver: clay, colliders, hands and settings."""
 
 from __future__ import annotations
 
@@ -45,24 +45,23 @@ if TYPE_CHECKING:
     from ...solver import Scene, Solver
 
 _HELD = "scene_hand_{}_held"
-"""Key of the pose that a hand holds, in a snapshot."""
+"""Key in a snapshot of the pose that a hand holds."""
 _REFUSED = "The solver cannot take this scene: {}"
 
 
 class Simulation:
-    """A Blender scene ready to be simulated, as it is at the current frame.
+    """A Blender scene ready to be simulated from the current frame.
 
-    For a bake the current frame must be the first one. Making it checks everything that can be
-    checked and starts no solver yet.
+    For a bake, the current frame must be the first one. The constructor checks the scene as far as
+    possible; it does not start a solver.
 
     Args:
-        context: Its scene is what is simulated.
-        live: For a live session: clay starts as it is shown, what is switched off in the viewport
-            is left out, and hands give way to the clay.
+        context: Its scene is simulated.
+        live: Whether this is a live session: clay starts in the shape shown, objects that are
+            switched off in the viewport are left out, and hands give way to the clay.
 
     Raises:
-        SimulationError: Something in the scene is wrong; the message names the object and says
-            what to do.
+        SimulationError: An object of the scene is unusable; the message says what to do.
     """
 
     def __init__(
@@ -79,13 +78,13 @@ class Simulation:
             raise SimulationError(
                 "There is no clay in the scene. Select closed meshes and press Make Clay."
             )
-        # Reading a hand changes the scene for a moment, so it comes before the evaluated scene.
+        # Reading a hand temporarily changes the scene, so this precedes its evaluation.
         self.hands = read_hands(context, live=live)
         depsgraph = context.evaluated_depsgraph_get()
         clay = clay_there(clay_objects(scene), depsgraph, live=live)
         if not clay:
             raise SimulationError(
-                "All clay of the scene is switched off in the viewport. Switch some of it on."
+                "All clay in the scene is switched off in the viewport. Switch some of it on."
             )
         check_clay(clay, depsgraph)
         self.parts = ClayLayout(ClaySlice(item.name, len(item.data.points)) for item in clay)
@@ -93,10 +92,12 @@ class Simulation:
         attribute = "position" if live else "rest_position"
         self.rest = [clay_positions(item, attribute) for item in clay]
         self.colors = np.concatenate([clay_colors(item) for item in clay])
-        self.edited: EditedClay | None = None
-        """Edits that are carried out between frames; None where there are none."""
+        self.edited_clay: EditedClay | None = None
+        """Edits to apply between frames; None if there are none."""
         if not live and scene.tactile_clay.film_edits:
-            self.edited = EditedClay(scene.tactile_clay.film_edits, clay, self.rest, self.scale)
+            self.edited_clay = EditedClay(
+                scene.tactile_clay.film_edits, clay, self.rest, self.scale
+            )
         self.spacing = common_spacing(clay, self.scale)
         self.settings = solver_settings(scene)
         self.time_step = 1.0 / frames_per_second(scene)
@@ -154,10 +155,10 @@ class Simulation:
             part.state(depsgraph)
             self._meshes.append(part)
 
-    # What decides the result ------------------------------------------------------------------
+    # Inputs of the result ---------------------------------------------------------------------
 
     def digests(self) -> dict[str, str]:
-        """A digest for each subject that decides the result, to tell which one has changed."""
+        """Digests of the inputs that determine the result, by subject."""
         return {
             **scene_digests(self.scene),
             "colliders": digest_of(
@@ -169,7 +170,7 @@ class Simulation:
         }
 
     def moving_parts(self) -> str:
-        """What can move in this scene besides the clay, as a possessive."""
+        """Possessive name of the parts that can move besides the clay, for messages."""
         if not self.hands:
             return "colliders'"
         return "colliders' or hands'" if self._meshes else "hands'"
@@ -181,7 +182,7 @@ class Simulation:
                 hand.measure(depsgraph)
 
     def warnings(self) -> list[str]:
-        """What the user should know about hands and edits."""
+        """Warnings about hands and edits for the user."""
         warnings = [text for hand in self.hands for text in hand.warnings()]
         if self._absent:
             names = ", ".join(repr(name) for name in self._absent)
@@ -190,10 +191,10 @@ class Simulation:
                 "monitor, or a collection), so the clay does not meet "
                 f"{'it' if len(self._absent) == 1 else 'them'}."
             )
-        if self.edited is not None and self.edited.lost:
+        if self.edited_clay is not None and self.edited_clay.lost:
             warnings.append(
-                f"{self.edited.lost} particles of added clay found no room: the clay moved more "
-                "between strokes than was foreseen."
+                f"{self.edited_clay.lost} particles could not be added: the clay moved more "
+                "between strokes than expected."
             )
         warnings += self.faults.sentences()
         return warnings
@@ -205,7 +206,7 @@ class Simulation:
 
         Args:
             depsgraph: The evaluated scene.
-            device: What `solver_device` gave.
+            device: Result of `solver_device`.
 
         Raises:
             SimulationError: The solver refuses the scene; the message says why.
@@ -213,10 +214,10 @@ class Simulation:
         self.build(self.prepare(depsgraph), device)
 
     def prepare(self, depsgraph: bpy.types.Depsgraph) -> Scene:
-        """Say what is in the solver's scene, at the current frame.
+        """Create the solver's scene at the current frame.
 
         Raises:
-            SimulationError: The solver refuses it; the message says why.
+            SimulationError: The solver refuses the scene; the message says why.
         """
         from ...solver import Scene
 
@@ -237,7 +238,7 @@ class Simulation:
                 hand.start(scene, depsgraph)
                 if not self.live:
                     hand.measure(depsgraph)
-            self.follow(depsgraph)
+            self.update(depsgraph)
         except HandError as error:
             raise SimulationError(str(error)) from error
         except (MeshError, ValueError) as error:
@@ -245,17 +246,17 @@ class Simulation:
         return scene
 
     def _bodies(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-        """World positions [Blender units] and colors of each clay object's particles."""
-        if self.edited is not None:
-            return self.edited.bodies()
+        """World positions [Blender units] and colors of the particles of each clay object."""
+        if self.edited_clay is not None:
+            return self.edited_clay.bodies()
         return list(zip(self.rest, self.parts.split(self.colors), strict=True))
 
     def build(self, scene: Scene, device: str) -> None:
-        """Build the solver; this needs no Blender, so any thread may do it.
+        """Build the solver. This does not access Blender, so it can run in any thread.
 
         Args:
-            scene: What `prepare` gave.
-            device: What `solver_device` gave.
+            scene: Result of `prepare`.
+            device: Result of `solver_device`.
 
         Raises:
             SimulationError: The solver refuses the scene; the message says why.
@@ -265,25 +266,25 @@ class Simulation:
         self._device = device
         try:
             self.solver = Solver(scene, self.settings, device=device)
-            # The next poses are those of the next moment: what lies between is motion.
+            # From now on, a change of pose is motion.
             self.solver.begin()
         except (ValueError, RuntimeError) as error:
             raise SimulationError(_REFUSED.format(error)) from error
 
     def feed(self, depsgraph: bpy.types.Depsgraph) -> bytes:
-        """Do as `follow`, and return sixteen bytes that say what colliders and hands do."""
-        return bytes.fromhex(digest_of(*self.follow(depsgraph)))
+        """Call `update` and return the digest of its result, 16 bytes."""
+        return bytes.fromhex(digest_of(*self.update(depsgraph)))
 
-    def follow(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
-        """Tell the solver, if it runs, where colliders and hands are at the current frame.
+    def update(self, depsgraph: bpy.types.Depsgraph) -> list[Any]:
+        """Read colliders and hands at the current frame, and pass them to the solver if it runs.
 
         Returns:
-            What they do: all that decides the next step.
+            Their states, which determine the next step.
 
         Raises:
-            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+            SimulationError: A collider has changed in an unsupported way, or a hand is missing.
         """
-        self._check_followed(depsgraph)
+        self._check_current(depsgraph)
         for plane in self._planes:
             plane.check(depsgraph, self.spacing)
         states = [part.state(depsgraph) for part in self._meshes]
@@ -300,9 +301,10 @@ class Simulation:
                 raise SimulationError(
                     f"{part.item.name!r} at frame {self.scene.frame_current}: {error}"
                 ) from error
-        lifted = [index for index, touches in enumerate(enabled) if not touches]
-        said = [("lifted", *lifted)] if lifted else []
-        return [*states, *said, *self._feed_hands(depsgraph)]
+        disabled = [index for index, touches in enumerate(enabled) if not touches]
+        # The digests of existing bakes depend on this word.
+        lifted = [("lifted", *disabled)] if disabled else []
+        return [*states, *lifted, *self._feed_hands(depsgraph)]
 
     def _feed_hands(self, depsgraph: bpy.types.Depsgraph) -> list[HandState]:
         try:
@@ -311,44 +313,44 @@ class Simulation:
             raise SimulationError(f"At frame {self.scene.frame_current}: {error}") from error
 
     def step(self, part: float = 1.0) -> None:
-        """Advance by a part of a frame, to where `feed` put the colliders."""
+        """Advance the solver by a part of a frame, to the state passed on by `feed`."""
         assert self.solver is not None
         self.solver.step(part * self.time_step)
         self.note_faults()
 
-    def reach(self, number: int, *, steps: bool) -> bytes:
-        """Bring the scene to a frame from the one before, through the moments between them.
+    def advance_to(self, number: int, *, step_solver: bool) -> bytes:
+        """Advance the scene to a frame from the previous one, through all motion samples.
 
         Args:
             number: The frame.
-            steps: Whether the solver steps on to each moment.
+            step_solver: Whether to step the solver at each sample.
 
         Returns:
-            Sixteen bytes that say what colliders and hands did.
+            Digest of the motion of colliders and hands, 16 bytes.
 
         Raises:
-            SimulationError: A collider did what a solver cannot follow, or a hand is gone.
+            SimulationError: A collider has changed in an unsupported way, or a hand is missing.
         """
         count = self.scene.tactile_clay.motion_samples
-        done = []
+        digests = []
         for sample in range(1, count + 1):
             if sample < count:
                 self.scene.frame_set(number - 1, subframe=sample / count)
             else:
                 self.scene.frame_set(number)
-            done.append(self.feed(bpy.context.evaluated_depsgraph_get()))
-            if steps:
+            digests.append(self.feed(bpy.context.evaluated_depsgraph_get()))
+            if step_solver:
                 self.step(1.0 / count)
                 self._edit(number - 1 + (sample - 1) / count, number - 1 + sample / count)
-        return done[0] if count == 1 else bytes.fromhex(digest_of(*done))
+        return digests[0] if count == 1 else bytes.fromhex(digest_of(*digests))
 
     def _edit(self, after: float, until: float) -> None:
-        """Carry out the edits between two moments [frames]."""
-        if self.edited is None or not self.edited.is_due(after, until):
+        """Apply the edits after one time and until another [frames]."""
+        if self.edited_clay is None or not self.edited_clay.is_due(after, until):
             return
         assert self.solver is not None
         positions = (self.solver.positions() / self.scale).astype(np.float32)
-        if self.edited.apply(after, until, positions):
+        if self.edited_clay.apply(after, until, positions):
             self._rebuild()
 
     def _rebuild(self) -> None:
@@ -364,59 +366,59 @@ class Simulation:
         self.faults.note(self.solver, names, self.spacing * self.scale, frame)
 
     def snapshot(self) -> dict[str, NDArray[Any]]:
-        """Everything that decides what the next steps do, as plain arrays."""
+        """Full state of the simulation, as plain arrays."""
         assert self.solver is not None
-        held = {_HELD.format(number): hand.held() for number, hand in enumerate(self.hands)}
-        edited = self.edited.snapshot() if self.edited is not None else {}
+        held = {_HELD.format(number): hand.held_pose() for number, hand in enumerate(self.hands)}
+        edited = self.edited_clay.snapshot() if self.edited_clay is not None else {}
         return {**self.solver.snapshot(), **held, **edited}
 
     def restore(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
-        """Restore a state that `snapshot` gave, after `feed` at its frame.
+        """Restore a state returned by `snapshot`, after `feed` at its frame.
 
         Raises:
-            KeyError: A hand is missing in it.
-            ValueError: It is of another scene, or damaged.
+            KeyError: A hand is missing in the state.
+            ValueError: The state belongs to another scene, or is damaged.
         """
         assert self.solver is not None
         rest = dict(snapshot)
-        # At the frame itself a hand may have a pose that was dropped, and hold an earlier one.
+        # If the pose of a hand at this frame was dropped, the hand holds an earlier one.
         held = [rest.pop(_HELD.format(number)) for number in range(len(self.hands))]
         try:
-            if self.edited is not None:
-                changed = self.edited.restore(rest)
+            if self.edited_clay is not None:
+                changed = self.edited_clay.restore(rest)
                 rest = {k: v for k, v in rest.items() if not k.startswith("scene_edit_")}
                 if changed:
                     self._rebuild()
             self.solver.restore(rest)
         except (KeyError, ValueError):
-            if self.edited is not None:
-                self.edited.begin()
+            if self.edited_clay is not None:
+                self.edited_clay.begin()
                 self._rebuild()
             raise
         for hand, bones in zip(self.hands, held, strict=True):
-            hand.hold(bones)
+            hand.restore_pose(bones)
 
     def positions(self) -> NDArray[np.float32]:
-        """World positions [Blender units], shape [N, 3]."""
+        """World positions of all particles [Blender units], shape [N, 3]."""
         assert self.solver is not None
         positions = (self.solver.positions() / self.scale).astype(np.float32)
-        return positions if self.edited is None else self.edited.spread(positions)
+        return positions if self.edited_clay is None else self.edited_clay.expand(positions)
 
     def velocities(self) -> NDArray[np.float32]:
-        """World velocities [Blender units/s], shape [N, 3]."""
+        """World velocities of all particles [Blender units/s], shape [N, 3]."""
         assert self.solver is not None
         velocities = (self.solver.velocities() / self.scale).astype(np.float32)
-        return velocities if self.edited is None else self.edited.spread(velocities)
+        return velocities if self.edited_clay is None else self.edited_clay.expand(velocities)
 
-    def _check_followed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Refuse a state that Blender has not brought to the current frame."""
+    def _check_current(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Refuse an evaluated scene that is not the current state of this scene."""
         if depsgraph.scene.original != self.scene:
             raise SimulationError(
-                f"Another scene was chosen while {self.scene.name!r} was simulated. Choose that "
-                "one again, then Resume."
+                f"The active scene was changed during the simulation of {self.scene.name!r}. "
+                "Activate that scene again, then press Resume."
             )
-        followed: list[FlatCollider | MovingCollider] = [*self._planes, *self._meshes]
-        for item in (part.item for part in followed):
+        colliders: list[FlatCollider | MovingCollider] = [*self._planes, *self._meshes]
+        for item in (collider.item for collider in colliders):
             if is_switched_off(item, depsgraph):
                 raise SimulationError(
                     f"At frame {self.scene.frame_current} {item.name!r} {SWITCHED_OFF}"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking a take again with finer clay, in a separate scene, the film.
+"""Baking a take again with finer clay, in a separate scene called the film.
 
 The film is a copy of the scene in which the take was recorded, with the same cameras, lights and
-settings. In place of the live clay it has clay of a smaller spacing, filled into the surface of the
-clay at the take's start, and copies of the hands and tools with the take's keyframes. So sculpting
-can continue in the first scene, and both play.
+settings. In place of the live clay it has clay with a smaller spacing, which fills the surface of
+the clay at the start of the take, and copies of the hands and tools with the take's keyframes. This
+allows sculpting to continue in the original scene, and both scenes to play.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ from ..model.clay_scene import clay_objects, collider_objects
 from ..model.collider import TAKE_TOOL
 from ..model.material_properties import copy_material
 from ..model.point_cloud import make_point_cloud
-from ..simulate.edited_clay import prepare_for_edits, room_for, unknown_edit
-from .film_scene import copy_scene, drop_objects, film_collection, twins
-from .pose import followed
+from ..simulate.edited_clay import prepare_for_edits, spare_particle_count, unknown_edit
+from .film_scene import copy_objects, copy_scene, film_collection, remove_film_objects
+from .pose import recorded_layout
 from .store import take_edits, take_start
 
-FINER = 0.5
-"""Default spacing of the film's clay, over that of the live clay."""
-_SAME_SPACING = 0.01
+DEFAULT_SPACING_RATIO = 0.5
+"""Default ratio of the film's particle spacing to that of the live clay."""
+_SPACING_TOLERANCE = 0.01
 _TAKE = re.compile(r"_take_\d{3,}$")
 
 
@@ -51,16 +51,16 @@ class FilmError(TactileClayError):
 def make_film(
     context: bpy.types.Context, *, spacing: float = 0.0, substeps: int = 0
 ) -> bpy.types.Scene:
-    """Make the film of a scene's take, or bring it up to date.
+    """Make or update the film of a scene's take.
 
     Args:
         context: Its scene holds the take, or is the film.
-        spacing: Distance between the film's particles [Blender units]; half of the live clay's
-            if 0. With the live spacing, the live particles are used as they were.
-        substeps: Solver steps in each sixtieth of a second; 0 for the solver's own choice.
+        spacing: Particle spacing of the film [Blender units]; 0 for half of the live spacing. With
+            the live spacing, the film gets the same particles as the live clay.
+        substeps: Solver steps per sixtieth of a second; 0 lets the solver choose.
 
     Returns:
-        The film's scene, not baked yet. The window still shows the other one.
+        The film scene, not baked yet. The window still shows the previous scene.
 
     Raises:
         FilmError: There is no take, or it cannot be baked again; nothing has changed.
@@ -71,33 +71,33 @@ def make_film(
     live = [item for item in clay_objects(source) if take_start(item) is not None]
     if not live:
         raise FilmError(
-            f"There is no take in the scene {source.name!r}. Switch Record Take on and sculpt, or "
-            "press Recover Take to recover one that was cut short."
+            f"There is no take in the scene {source.name!r}. Switch on Record Take and sculpt, or "
+            "press Recover Take to recover an interrupted take."
         )
     edit = unknown_edit(take_edits(source))
     if edit is not None:
         raise FilmError(
-            f"The take holds an edit of the kind {edit.kind!r} at {edit.time:.2f} s, which this "
-            "version of the add-on does not know. Update the add-on."
+            f"The take contains an edit of the kind {edit.kind!r} at {edit.time:.2f} s, which this "
+            "version of the add-on does not support. Update the add-on."
         )
-    before = min(item.tactile_clay.spacing for item in live)
-    spacing = spacing or FINER * before
-    pieces = _filled(live, spacing, source)
-    known = [scene for scene in bpy.data.scenes if scene.tactile_clay.film_of == source]
-    film = known[0] if known else copy_scene(source, f"{source.name} film")
+    live_spacing = min(item.tactile_clay.spacing for item in live)
+    spacing = spacing or DEFAULT_SPACING_RATIO * live_spacing
+    pieces = _fill_clay(live, spacing, source)
+    existing = [scene for scene in bpy.data.scenes if scene.tactile_clay.film_of == source]
+    film = existing[0] if existing else copy_scene(source, f"{source.name} film")
     try:
-        with _shown(context, film):
-            _furnish(context, film, source, live, pieces, spacing)
+        with _active_scene(context, film):
+            _populate(context, film, source, live, pieces, spacing)
     except (FilmError, HandError) as error:
-        if not known:
-            drop_objects(film)
+        if not existing:
+            remove_film_objects(film)
             bpy.data.scenes.remove(film)
         raise FilmError(str(error)) from error
     properties = film.tactile_clay
     properties.substeps = substeps
     properties.hands_give_way = True
     properties.record_take = False
-    if not known:
+    if not existing:
         base = source.tactile_clay.cache_directory.rstrip("/\\")
         properties.cache_directory = f"{_TAKE.sub('', base)}_film"
     properties.motion_samples = source.tactile_clay.motion_samples
@@ -109,7 +109,7 @@ def make_film(
     return film
 
 
-def _filled(
+def _fill_clay(
     live: list[bpy.types.Object], spacing: float, scene: bpy.types.Scene
 ) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """World positions and colors of the film's particles, for each clay object."""
@@ -122,9 +122,9 @@ def _filled(
     if all(abs(spacing - each) <= 1e-6 * each for each in own):
         return known
     shapes = []
-    for item, each, (positions, _) in zip(live, own, known, strict=True):
+    for item, live_spacing, (positions, _) in zip(live, own, known, strict=True):
         try:
-            surface = reconstruct(positions, each)
+            surface = reconstruct(positions, live_spacing)
         except (SurfaceError, ImportError) as error:
             raise FilmError(f"{item.name!r} at the start of the take: {error}") from error
         shapes.append(Piece(item.name, closed_mesh(surface.vertices, surface.faces)))
@@ -143,7 +143,7 @@ def _filled(
     ]
 
 
-def _furnish(
+def _populate(
     context: bpy.types.Context,
     film: bpy.types.Scene,
     source: bpy.types.Scene,
@@ -151,37 +151,37 @@ def _furnish(
     pieces: list[tuple[NDArray[np.float32], NDArray[np.float32]]],
     spacing: float,
 ) -> None:
-    """Put clay, hands and tools into the film, in place of those it had."""
-    drop_objects(film)
+    """Put clay, hands and tools into the film, replacing earlier ones."""
+    remove_film_objects(film)
     hands = hand_objects(source)
     moving = [
         item
-        for name in followed(source).objects
+        for name in recorded_layout(source).objects
         if (item := source.objects.get(name)) is not None
         and item.animation_data is not None
         and item.animation_data.action is not None
     ]
     moving += [item for item in collider_objects(source) if TAKE_TOOL in item]
-    # Armatures that no take moved, too: tracking may move them later.
+    # Include armatures that did not move in the take: tracking may move them later.
     moving += [hand_armature(hand) for hand in hands]
-    made = twins(source, film, [*moving, *hands], left_out=clay_objects(source))
+    copies = copy_objects(source, film, [*moving, *hands], excluded=clay_objects(source))
     edits = take_edits(source)
-    room = room_for(edits, to_meters(source, spacing))
+    spare_count = spare_particle_count(edits, to_meters(source, spacing))
     for item, (points, colors) in zip(live, pieces, strict=True):
-        # Shown at the place of the first point until they are added.
-        points = np.concatenate([points, np.tile(points[:1], (room, 1))])
-        colors = np.concatenate([colors, np.tile(colors[:1], (room, 1))])
+        # Spare particles are shown at the position of the first one until they are added.
+        points = np.concatenate([points, np.tile(points[:1], (spare_count, 1))])
+        colors = np.concatenate([colors, np.tile(colors[:1], (spare_count, 1))])
         clay = _make_clay(context, film, item, points, colors, spacing)
         if edits:
-            prepare_for_edits(clay, room)
+            prepare_for_edits(clay, spare_count)
     context.view_layer.update()
-    wanted = to_meters(film, spacing)
+    film_spacing = to_meters(film, spacing)
     for hand in hands:
-        copy = made[hand]
-        bound_for = 2.0 * stored_spacing(hand.data)
-        if abs(bound_for - wanted) <= _SAME_SPACING * bound_for:
+        copy = copies[hand]
+        hand_spacing = 2.0 * stored_spacing(hand.data)
+        if abs(hand_spacing - film_spacing) <= _SPACING_TOLERANCE * hand_spacing:
             continue
-        # Ghosts are as dense as the clay, so another spacing needs other ghosts.
+        # Ghost particles are as dense as the clay, so a different spacing needs new ones.
         side = load_hand(hand.data).rig.side
         copy.data = copy.data.copy()
         make_hand(context, copy, side=side, clay_spacing=scene_spacing(film))
@@ -201,11 +201,11 @@ def _make_clay(
         collection.objects.unlink(clay)
     film_collection(film).objects.link(clay)
     clay.location = Vector(origin.tolist())
-    properties, before = clay.tactile_clay, live.tactile_clay
+    properties, live_properties = clay.tactile_clay, live.tactile_clay
     properties.role = "CLAY"
     properties.spacing = spacing
-    properties.material_preset = before.material_preset
-    copy_material(before, properties)
+    properties.material_preset = live_properties.material_preset
+    copy_material(live_properties, properties)
     for material in live.data.materials:
         clay.data.materials.append(material)
     modifier = add_look(clay, spacing=spacing)
@@ -219,8 +219,8 @@ def _make_clay(
 
 
 @contextmanager
-def _shown(context: bpy.types.Context, scene: bpy.types.Scene) -> Iterator[None]:
-    """Work in a scene, then return to the one before."""
+def _active_scene(context: bpy.types.Context, scene: bpy.types.Scene) -> Iterator[None]:
+    """Make a scene the active one, then return to the previous scene."""
     if context.window is None:
         with context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
             yield

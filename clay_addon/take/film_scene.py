@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Copies of scenes that share all but some objects with the original."""
+"""Copies of scenes that share most objects with the original."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import bpy
 
 COLLECTION = "Film"
 _MARK = "clay_film"
-"""Custom property of what was made for a film, so that it can be replaced."""
+"""Custom property that marks data made for a film, so that it can be replaced."""
 
 
 def copy_scene(source: bpy.types.Scene, name: str) -> bpy.types.Scene:
     """Copy a scene's settings, and link its collections and objects into the copy."""
     scene = source.copy()
     scene.name = name
-    # Otherwise the copy has no user and is not saved.
+    # Without a user, the copy would not be saved.
     scene.use_fake_user = True
     return scene
 
 
 def film_collection(film: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of the film's own objects."""
+    """The collection of a film's own objects, created if missing."""
     for collection in film.collection.children:
         if collection.get(_MARK) == COLLECTION:
             return collection
@@ -32,8 +32,8 @@ def film_collection(film: bpy.types.Scene) -> bpy.types.Collection:
     return collection
 
 
-def drop_objects(film: bpy.types.Scene) -> None:
-    """Delete what was made for a film; other objects stay."""
+def remove_film_objects(film: bpy.types.Scene) -> None:
+    """Delete the objects made for a film."""
     for item in list(film_collection(film).objects):
         if item.get(_MARK) or item.tactile_clay.role == "CLAY":
             data = item.data
@@ -42,59 +42,59 @@ def drop_objects(film: bpy.types.Scene) -> None:
                 bpy.data.batch_remove([data])
 
 
-def twins(
+def copy_objects(
     source: bpy.types.Scene,
     film: bpy.types.Scene,
-    chosen: Iterable[bpy.types.Object],
+    objects: Iterable[bpy.types.Object],
     *,
-    left_out: Iterable[bpy.types.Object],
+    excluded: Iterable[bpy.types.Object],
 ) -> dict[bpy.types.Object, bpy.types.Object]:
-    """Give a film copies of objects, and of all that hangs on them, in place of the objects.
+    """Replace objects in a film, and all objects parented to or deformed by them, with copies.
 
-    The copies share meshes, armatures and actions with the objects, and refer to each other where
-    those do.
+    The copies share the data and actions of the originals. References between the originals become
+    references between the copies.
 
     Args:
-        source: The film's scene is a copy of this one.
-        film: Where the copies go.
-        chosen: Objects of both.
-        left_out: Objects that the film does not get.
+        source: The original of the film.
+        film: Scene to put the copies into.
+        objects: Objects in both scenes.
+        excluded: Objects to remove from the film without a copy.
+
+    Returns:
+        The copies by original.
     """
-    wanted = dict.fromkeys(chosen)
-    grown = True
-    while grown:
-        found = [
-            item
-            for item in source.objects
-            if item not in wanted and (item.parent in wanted or _deformer(item) in wanted)
-        ]
-        wanted.update(dict.fromkeys(found))
-        grown = bool(found)
-    gone = set(left_out)
-    made = {item: item.copy() for item in wanted if item not in gone}
+    originals = dict.fromkeys(objects)
+    while dependents := [
+        item
+        for item in source.objects
+        if item not in originals and (item.parent in originals or _deformer(item) in originals)
+    ]:
+        originals.update(dict.fromkeys(dependents))
+    removed = set(excluded)
+    copies = {item: item.copy() for item in originals if item not in removed}
     collection = film_collection(film)
-    for item, copy in made.items():
+    for item, copy in copies.items():
         copy[_MARK] = True
         collection.objects.link(copy)
-        _refer(copy, made)
+        _retarget(copy, copies)
         hidden = item.name in source.view_layers[0].objects and item.hide_get(
             view_layer=source.view_layers[0]
         )
         if hidden:
             copy.hide_set(True, view_layer=film.view_layers[0])
-    _leave_out(film, source, {*made, *gone})
-    return made
+    _unlink(film, source, {*copies, *removed})
+    return copies
 
 
 def _deformer(item: bpy.types.Object) -> bpy.types.Object | None:
     return next((m.object for m in item.modifiers if m.type == "ARMATURE" and m.object), None)
 
 
-def _refer(copy: bpy.types.Object, made: dict[bpy.types.Object, bpy.types.Object]) -> None:
-    """Make a copy refer to copies."""
-    if copy.parent in made:
+def _retarget(copy: bpy.types.Object, copies: dict[bpy.types.Object, bpy.types.Object]) -> None:
+    """Replace references of a copy to originals by references to their copies."""
+    if copy.parent in copies:
         inverse = copy.matrix_parent_inverse.copy()
-        copy.parent = made[copy.parent]
+        copy.parent = copies[copy.parent]
         copy.matrix_parent_inverse = inverse
     owners = [*copy.modifiers, *copy.constraints]
     if copy.type == "ARMATURE":
@@ -104,20 +104,20 @@ def _refer(copy: bpy.types.Object, made: dict[bpy.types.Object, bpy.types.Object
             if prop.type != "POINTER" or prop.is_readonly:
                 continue
             value = getattr(owner, prop.identifier, None)
-            if isinstance(value, bpy.types.Object) and value in made:
-                setattr(owner, prop.identifier, made[value])
+            if isinstance(value, bpy.types.Object) and value in copies:
+                setattr(owner, prop.identifier, copies[value])
 
 
-def _leave_out(film: bpy.types.Scene, source: bpy.types.Scene, gone: set[bpy.types.Object]) -> None:
-    """Take objects out of a film's collections, copying those that are shared."""
+def _unlink(film: bpy.types.Scene, source: bpy.types.Scene, removed: set[bpy.types.Object]) -> None:
+    """Unlink objects from a film's collections, after copying shared collections."""
     replaced: dict[bpy.types.Collection, bpy.types.Collection] = {}
 
-    def thin(collection: bpy.types.Collection) -> None:
+    def unlink_from(collection: bpy.types.Collection) -> None:
         for item in list(collection.objects):
-            if item in gone:
+            if item in removed:
                 collection.objects.unlink(item)
         for child in list(collection.children):
-            if not any(item in gone for item in child.all_objects):
+            if not any(item in removed for item in child.all_objects):
                 continue
             own = child
             if child.get(_MARK) is None:
@@ -125,29 +125,29 @@ def _leave_out(film: bpy.types.Scene, source: bpy.types.Scene, gone: set[bpy.typ
                 own[_MARK] = True
                 collection.children.unlink(child)
                 collection.children.link(own)
-            thin(own)
+            unlink_from(own)
             if own != child and not own.all_objects:
-                # It held only objects that the film does not have.
+                # It contained only removed objects.
                 bpy.data.collections.remove(replaced.pop(child))
 
-    thin(film.collection)
+    unlink_from(film.collection)
     if replaced:
         for layer in film.view_layers:
-            before = source.view_layers.get(layer.name)
-            if before is not None:
-                _copy_switches(before.layer_collection, layer.layer_collection, replaced)
+            original = source.view_layers.get(layer.name)
+            if original is not None:
+                _copy_visibility(original.layer_collection, layer.layer_collection, replaced)
 
 
-def _copy_switches(
-    before: bpy.types.LayerCollection,
-    after: bpy.types.LayerCollection,
+def _copy_visibility(
+    original: bpy.types.LayerCollection,
+    copy: bpy.types.LayerCollection,
     replaced: dict[bpy.types.Collection, bpy.types.Collection],
 ) -> None:
-    """Switch collections on and off in one view layer as in another."""
-    own = {each.collection: each for each in after.children}
-    for child in before.children:
-        twin = own.get(replaced.get(child.collection, child.collection))
-        if twin is not None:
-            twin.exclude = child.exclude
-            twin.hide_viewport = child.hide_viewport
-            _copy_switches(child, twin, replaced)
+    """Copy the visibility of collections from one view layer to another."""
+    copies = {child.collection: child for child in copy.children}
+    for child in original.children:
+        child_copy = copies.get(replaced.get(child.collection, child.collection))
+        if child_copy is not None:
+            child_copy.exclude = child.exclude
+            child_copy.hide_viewport = child.hide_viewport
+            _copy_visibility(child, child_copy, replaced)

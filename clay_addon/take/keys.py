@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A take as keyframes: hands, colliders and tools do on the timeline what they did live.
+"""Keyframes of a take, which reproduce the motion of hands, colliders and tools on the timeline.
 
-There is a key where each step of the solver ended, also between whole frames: that is what the clay
-felt. Only what moved gets keys, and what had an action before, which might move it now.
+There is a key at the end of each solver step, even between whole frames, because that is the motion
+that acted on the clay. Objects get keys if they moved, or if they have an action, which might move
+them now.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ TOOL_COLLECTION = "Take Tools"
 _NUMERIC_NOISE = 1e-6
 
 
-class Keyed(NamedTuple):
-    """What got keys."""
+class KeyedTake(NamedTuple):
+    """Result of `key_take`."""
 
     first: int
     """First frame."""
@@ -36,26 +37,28 @@ class Keyed(NamedTuple):
     objects: tuple[str, ...]
     """Names of the objects with a new action."""
     missing: tuple[str, ...]
-    """Names of objects of the take that are no longer in the file."""
+    """Names of recorded objects that are no longer in the file."""
 
 
 class _Track(NamedTuple):
-    """Values of one quantity over a take."""
+    """Values of one quantity during a take."""
 
     times: NDArray[np.float64]
+    """Times [s], shape [K]."""
     values: NDArray[Any]
+    """Values, shape [K, ...]."""
 
 
-def key_take(scene: bpy.types.Scene, take: Take, *, name: str = "Take") -> Keyed:
-    """Put a take on the timeline.
+def key_take(scene: bpy.types.Scene, take: Take, *, name: str = "Take") -> KeyedTake:
+    """Put the motion of a take on the timeline.
 
-    Each object that moved gets a new action; the one it had stays in the file. The tools
-    of the mouse become colliders in their own collection, in place of those of an earlier take.
+    Each object that moved gets a new action; its previous one stays in the file. Tools moved with
+    the mouse become colliders in a separate collection, replacing those of an earlier take.
 
     Args:
-        scene: The take's.
-        take: What was recorded.
-        name: Of the actions.
+        scene: Scene of the take.
+        take: The take.
+        name: Prefix for the names of the actions.
     """
     rate, first = take.header.frames_per_second, take.header.frame_start
     last = first + frame_count(take.seconds, rate)
@@ -72,32 +75,32 @@ def key_take(scene: bpy.types.Scene, take: Take, *, name: str = "Take") -> Keyed
             missing.append(object_name)
             continue
         animated = item.animation_data is not None and item.animation_data.action is not None
-        clock = _Clock(first, rate, always=animated)
-        channels = list(clock.transform(objects.get(object_name), item))
+        builder = _ChannelBuilder(first, rate, always=animated)
+        channels = list(builder.transform(objects.get(object_name), item))
         if object_name in enabled:
             track = _Track(enabled[object_name].times, enabled[object_name].values)
             path = "tactile_clay.collider_enabled"
-            channels += clock.number(path, track, CONSTANT)
+            channels += builder.number(path, track, CONSTANT)
         if item.type == "ARMATURE":
             for bone in item.pose.bones:
-                channels += clock.transform(bones.get((object_name, bone.name)), bone)
+                channels += builder.transform(bones.get((object_name, bone.name)), bone)
             if channels or CONTACT_PROPERTY in item:
                 path = f'["{CONTACT_PROPERTY}"]'
-                channels += clock.number(path, contacts[object_name], CONSTANT)
+                channels += builder.number(path, contacts[object_name], CONSTANT)
         if channels:
             write_channels(item, f"{name} {object_name}", channels)
             keyed.append(object_name)
-    tools = _key_tools(scene, take, _Clock(first, rate, always=True), name)
-    return Keyed(first, last, (*keyed, *tools), tuple(missing))
+    tools = _key_tools(scene, take, _ChannelBuilder(first, rate, always=True), name)
+    return KeyedTake(first, last, (*keyed, *tools), tuple(missing))
 
 
-class _Clock:
-    """Makes channels of tracks.
+class _ChannelBuilder:
+    """Converts tracks to animation channels.
 
     Args:
         start: Frame at time 0.
-        rate: Frames in a second [1/s].
-        always: Whether a constant value gets a key, too.
+        rate: Frame rate [1/s].
+        always: Whether constant values get a key, too.
     """
 
     def __init__(self, start: int, rate: float, *, always: bool) -> None:
@@ -106,7 +109,7 @@ class _Clock:
         self._always = always
 
     def number(self, path: str, track: _Track, interpolation: int) -> Iterator[Channel]:
-        """The channel of a number."""
+        """Yield the channel of a scalar, if it needs keys."""
         values = np.asarray(track.values, np.float32)
         if self._always or np.ptp(values) > 0.0:
             yield self._channel(path, 0, track.times, values, "", interpolation)
@@ -114,7 +117,7 @@ class _Clock:
     def transform(
         self, track: _Track | None, owner: bpy.types.Object | bpy.types.PoseBone
     ) -> Iterator[Channel]:
-        """The channels of an object's or a bone's own transform, shape [K, 4, 4]."""
+        """Yield the channels of the ``matrix_basis`` of an object or bone, if it needs keys."""
         if track is None:
             return
         matrices = np.asarray(track.values, np.float64)
@@ -123,20 +126,20 @@ class _Clock:
         prefix, group = "", "Object Transforms"
         if isinstance(owner, bpy.types.PoseBone):
             prefix, group = f"{owner.path_from_id()}.", owner.name
-        locations, turns, scales = decomposed(matrices)
+        locations, rotations, scales = decompose(matrices)
         owner.rotation_mode = "QUATERNION"
         for path, rows in (
             ("location", locations),
-            ("rotation_quaternion", turns),
+            ("rotation_quaternion", rotations),
             ("scale", scales),
         ):
-            # Decomposing a matrix leaves noise of single precision.
-            still = np.ptp(rows, axis=0).max() < _NUMERIC_NOISE
-            if still and not self._always:
+            # Decomposing single-precision matrices leaves noise.
+            constant = np.ptp(rows, axis=0).max() < _NUMERIC_NOISE
+            if constant and not self._always:
                 setattr(owner, path, rows[0].tolist())
                 continue
-            shown = rows[:1] if still else rows
-            for index, column in enumerate(shown.T):
+            keyed = rows[:1] if constant else rows
+            for index, column in enumerate(keyed.T):
                 times = track.times[: len(column)]
                 yield self._channel(prefix + path, index, times, column.astype(np.float32), group)
 
@@ -156,69 +159,72 @@ class _Clock:
         return channel if interpolation is None else replace(channel, interpolation=interpolation)
 
 
-def decomposed(
+def decompose(
     matrices: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Location [K, 3], quaternion (w, x, y, z) [K, 4] and scale [K, 3] of transforms [K, 4, 4].
+    """Decompose transforms, shape [K, 4, 4], as Blender does.
 
-    Like Blender's own decomposition: without shear, mirroring in all three scales. Successive
-    quaternions do not jump in sign.
+    Returns:
+        Locations [K, 3], quaternions (w, x, y, z) [K, 4] and scales [K, 3]. Shear is dropped, and a
+        mirrored transform has three negative scales. Successive quaternions do not flip in sign.
     """
     linear = matrices[:, :3, :3]
     scales = np.linalg.norm(linear, axis=1)
     scales = np.where(np.linalg.det(linear)[:, None] < 0.0, -scales, scales)
     rotations = linear / np.where(scales == 0.0, 1.0, scales)[:, None, :]
-    turns = quaternions_from_matrices(rotations)[:, [3, 0, 1, 2]]
-    flips = np.where((turns[1:] * turns[:-1]).sum(1) < 0.0, -1.0, 1.0)
-    turns[1:] *= np.cumprod(flips)[:, None]
-    return matrices[:, :3, 3], turns, scales
+    quaternions = quaternions_from_matrices(rotations)[:, [3, 0, 1, 2]]
+    signs = np.where((quaternions[1:] * quaternions[:-1]).sum(1) < 0.0, -1.0, 1.0)
+    quaternions[1:] *= np.cumprod(signs)[:, None]
+    return matrices[:, :3, 3], quaternions, scales
 
 
 def _tracks(
     parts: Sequence[Steps], array: str, names_of: Callable[[Layout], Sequence[Any]]
 ) -> dict[Any, _Track]:
-    """The track of each name, over all parts in which it was recorded."""
+    """Tracks by name, over all parts in which the name was recorded."""
     times: dict[Any, list[NDArray[np.float64]]] = {}
     values: dict[Any, list[NDArray[Any]]] = {}
     for part in parts:
-        for row, name in enumerate(names_of(part.layout)):
+        for column, name in enumerate(names_of(part.layout)):
             times.setdefault(name, []).append(part.times)
-            values.setdefault(name, []).append(getattr(part, array)[:, row])
+            values.setdefault(name, []).append(getattr(part, array)[:, column])
     return {
         name: _Track(np.concatenate(times[name]), np.concatenate(values[name])) for name in times
     }
 
 
-def _key_tools(scene: bpy.types.Scene, take: Take, clock: _Clock, name: str) -> list[str]:
-    """Turn the tools that the clay felt into colliders."""
+def _key_tools(
+    scene: bpy.types.Scene, take: Take, builder: _ChannelBuilder, name: str
+) -> list[str]:
+    """Make a collider of each tool that touched the clay, and return the object names."""
     _remove_tools(scene)
     poses = _tracks(take.steps, "tool_poses", lambda layout: layout.tools)
-    made = []
+    names = []
     for number in poses:
-        felt = _felt(take.steps, number)
-        if not felt.values.any():
+        contact = _contact_track(take.steps, number)
+        if not contact.values.any():
             continue
         item = _tool_object(take.tools[number], scene, f"{name} tool")
         _tool_collection(scene).objects.link(item)
         matrices = np.asarray(poses[number].values, np.float64).copy()
         matrices[:, :3, 3] /= take.header.unit_scale
         channels = [
-            *clock.transform(_Track(poses[number].times, matrices), item),
-            *clock.number("tactile_clay.collider_enabled", felt, CONSTANT),
+            *builder.transform(_Track(poses[number].times, matrices), item),
+            *builder.number("tactile_clay.collider_enabled", contact, CONSTANT),
         ]
         write_channels(item, f"{name} {item.name}", channels)
-        made.append(item.name)
-    return made
+        names.append(item.name)
+    return names
 
 
-def _felt(parts: Sequence[Steps], number: int) -> _Track:
-    """When the clay felt a tool: not while another one was in the mouse."""
+def _contact_track(parts: Sequence[Steps], number: int) -> _Track:
+    """Whether a tool touches the clay; False while another tool was used."""
     times, values = [], []
     for part in parts:
         tools = part.layout.tools
-        there = number in tools
-        times.append(part.times if there else part.times[:1])
-        values.append(part.tool_enabled[:, tools.index(number)] if there else np.zeros(1, bool))
+        used = number in tools
+        times.append(part.times if used else part.times[:1])
+        values.append(part.tool_enabled[:, tools.index(number)] if used else np.zeros(1, bool))
     return _Track(np.concatenate(times), np.concatenate(values))
 
 
@@ -227,9 +233,9 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
     mesh.from_pydata(from_meters(scene, tool.vertices).tolist(), [], tool.faces.tolist())
     item = bpy.data.objects.new(name, mesh)
     item[TAKE_TOOL] = True
-    # The film shows what the tool does, as the session did.
+    # As in the live session, only the effect of the tool should be visible.
     item.hide_render = True
-    # Its wires would hide the dent that it leaves.
+    # A wireframe would hide the dent.
     item.display_type = "BOUNDS"
     properties = item.tactile_clay
     properties.role = "COLLIDER"
@@ -239,7 +245,7 @@ def _tool_object(tool: ToolShape, scene: bpy.types.Scene, name: str) -> bpy.type
 
 
 def _remove_tools(scene: bpy.types.Scene) -> None:
-    """Remove the tools of an earlier take; its folder still has them."""
+    """Remove the tools of an earlier take; they remain in its folder."""
     for collection in scene.collection.children:
         if collection.get(TAKE_TOOL):
             for item in list(collection.objects):
@@ -248,7 +254,7 @@ def _remove_tools(scene: bpy.types.Scene) -> None:
 
 
 def _tool_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
-    """The collection of tools."""
+    """The collection of tools, created if missing."""
     for collection in scene.collection.children:
         if collection.get(TAKE_TOOL):
             return collection

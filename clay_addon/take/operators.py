@@ -25,8 +25,8 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
     spacing: bpy.props.FloatProperty(
         name="Spacing",
         description=(
-            "Distance between the film's particles; 0 for half of the live clay's, which shows "
-            "twice the detail and takes about ten times as long"
+            "Particle spacing of the film; 0 for half of the live spacing, which shows twice the "
+            "detail and takes about ten times as long"
         ),
         subtype="DISTANCE",
         unit="LENGTH",
@@ -36,7 +36,7 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
     )
     substeps: bpy.props.IntProperty(
         name="Substeps",
-        description="Solver steps in each sixtieth of a second; 0 for the solver's own choice",
+        description="Solver steps per sixtieth of a second; 0 lets the solver choose",
         min=0,
         max=4096,
         options={"SKIP_SAVE"},
@@ -49,7 +49,7 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
         return context.window_manager.invoke_props_dialog(self)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Make the film's scene, switch to it and bake; in the interface, one frame at a time."""
+        """Make the film scene, switch to it and bake; in the interface, one frame at a time."""
         window = context.window
         if window is not None and not bpy.app.background:
             window.cursor_modal_set("WAIT")
@@ -70,13 +70,13 @@ class CLAY_OT_bake_again(bpy.types.Operator):  # noqa: N801
                 window.scene = film
                 bpy.ops.clay.bake("INVOKE_DEFAULT")
         except RuntimeError as error:
-            # The scene stays, so that Bake can be pressed there once the problem is fixed.
+            # Keep the scene: Bake can be pressed there once the problem is fixed.
             self.report({"ERROR"}, str(error).strip().removeprefix("Error: "))
         return {"FINISHED"}
 
 
 class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801
-    """Put a take that was cut short, or an earlier one, on the timeline"""
+    """Put an interrupted or earlier take on the timeline"""
 
     bl_idname = "clay.take_recover"
     bl_label = "Recover Take"
@@ -84,7 +84,7 @@ class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801
 
     directory: bpy.props.StringProperty(
         name="Folder",
-        description="The folder of the take, such as clay_cache_take_001",
+        description="Folder of the take, such as clay_cache_take_001",
         subtype="DIR_PATH",
         options={"SKIP_SAVE"},
     )
@@ -95,10 +95,10 @@ class CLAY_OT_take_recover(bpy.types.Operator):  # noqa: N801
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Read it and key it."""
+        """Read the take and put it on the timeline."""
         folder = Path(bpy.path.abspath(self.directory))
         if not is_take(folder):
-            self.report({"ERROR"}, f"There is no take in {folder}. Choose a take's folder.")
+            self.report({"ERROR"}, f"There is no take in {folder}. Choose the folder of a take.")
             return {"CANCELLED"}
         try:
             stored = store_take(context.scene, folder)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a take records of a scene: the hands' armatures, the colliders, and all that moves them."""
+"""Poses recorded in a take: armatures of hands, colliders, and all objects that move them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..tracking.armature import CONTACT_PROPERTY
 
 
 class StepRow(NamedTuple):
-    """What hands and tools do in one step: one row of each array of `Steps`."""
+    """Poses of hands and tools in one step: one row of each array of `Steps`."""
 
     objects: NDArray[np.float32]
     bones: NDArray[np.float32]
@@ -28,13 +28,15 @@ class StepRow(NamedTuple):
     tool_enabled: NDArray[np.bool_]
 
 
-def followed(scene: bpy.types.Scene, tools: tuple[int, ...] = ()) -> Layout:
-    """What a take of a scene records.
+def recorded_layout(scene: bpy.types.Scene, tools: tuple[int, ...] = ()) -> Layout:
+    """Find the objects of a scene to record in a take.
+
+    These are clay hands, colliders, and the objects they depend on: parents, armatures and the
+    targets of constraints.
 
     Args:
-        scene: Its clay hands and colliders count, and what these depend on: parents, armatures,
-            and the targets of constraints.
-        tools: Numbers of the tools in the mouse.
+        scene: The scene.
+        tools: Numbers of the tools moved with the mouse.
     """
     found: dict[str, bpy.types.Object] = {}
     colliders = [item for item in collider_objects(scene) if TAKE_TOOL not in item]
@@ -54,20 +56,21 @@ def followed(scene: bpy.types.Scene, tools: tuple[int, ...] = ()) -> Layout:
     )
 
 
-def pose_now(
+def read_poses(
     layout: Layout,
     depsgraph: bpy.types.Depsgraph,
     tools: list[tuple[NDArray[np.floating], bool]] | None = None,
 ) -> StepRow:
-    """What hands and tools do now.
+    """Read the current poses of hands and tools.
 
     Args:
-        layout: What `followed` gave.
+        layout: Result of `recorded_layout`.
         depsgraph: The evaluated scene.
-        tools: World from own coordinates [m], 4×4, of each tool, and whether the clay feels it.
+        tools: Transform from local to world space [m], shape [4, 4], of each tool, and whether it
+            touches the clay.
 
     Raises:
-        LookupError: Something is gone or has changed; call `followed` again.
+        LookupError: An object is missing or has changed; call `recorded_layout` again.
     """
     evaluated = {
         name: bpy.data.objects[name].evaluated_get(depsgraph)
@@ -82,21 +85,21 @@ def pose_now(
             raise LookupError(f"{name!r} no longer has the same bones.")
         values = np.empty((len(bone_names), 4, 4), np.float32)
         armature.pose.bones.foreach_get("matrix_basis", values.ravel())
-        # Blender stores matrices by columns.
+        # Blender stores matrices in column-major order.
         bones.append(values.swapaxes(1, 2))
         contact = armature.get(CONTACT_PROPERTY, 1.0)
         contacts.append(float(contact) if isinstance(contact, int | float) else 0.0)
     enabled = [is_enabled(bpy.data.objects[name], depsgraph) for name in layout.colliders]
-    given = tools or []
-    if len(given) != len(layout.tools):
-        raise LookupError(f"{len(given)} tools were given, but {len(layout.tools)} are recorded.")
+    tools = tools or []
+    if len(tools) != len(layout.tools):
+        raise LookupError(f"{len(tools)} tools were given, but {len(layout.tools)} are recorded.")
     return StepRow(
         objects.reshape(-1, 4, 4),
         np.concatenate(bones),
         np.array(contacts, np.float32),
         np.array(enabled, bool),
-        np.array([pose for pose, _ in given], np.float32).reshape(-1, 4, 4),
-        np.array([touches for _, touches in given], bool),
+        np.array([pose for pose, _ in tools], np.float32).reshape(-1, 4, 4),
+        np.array([touches for _, touches in tools], bool),
     )
 
 

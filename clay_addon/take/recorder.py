@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Recording a live session: what hands and tools do, and the clay's frames.
+"""Recording a live session: the motion of hands and tools, and the frames of the clay.
 
-While a take is recorded, its own thread writes it to its own folder beside the bake: a crash costs
-the last two seconds. `finish` puts it on the timeline, where it plays as it happened and can be
-baked again with finer clay.
+A background thread writes the take to a separate folder beside the bake during the recording, so a
+crash loses at most the last two seconds. `finish` puts the take on the timeline, where it can be
+played, and baked again with finer clay.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from ..core.take.writer import TakeWriter
 from ..model.cache_folder import CacheFolderError, owner_of, resolve_directory
 from ..model.clay_scene import clay_colors, frames_per_second
 from ..simulate.simulation import Simulation
-from .pose import StepRow, followed, pose_now
+from .pose import StepRow, read_poses, recorded_layout
 from .steps import TakeSteps
-from .store import Stored, store_take
+from .store import StoredTake, store_take
 
 if TYPE_CHECKING:
     from ..core.tools.settings import ToolMesh
@@ -47,10 +47,10 @@ class TakeError(TactileClayError):
 
 
 class Mark(NamedTuple):
-    """A moment of a take to return to."""
+    """A moment in a take, for `TakeRecorder.rewind`."""
 
     seconds: float
-    """Simulated time since the beginning [s]."""
+    """Simulated time since the start of the take [s]."""
     edits: int
     """Edits made so far."""
 
@@ -58,14 +58,14 @@ class Mark(NamedTuple):
 class TakeRecorder:
     """Records a live session, from `begin` to `finish`.
 
-    For each step of the session, call `look` when the solver has been told where everything is, and
-    `step` when the step is done. Call it from the main thread only; nothing waits for the disk.
+    For each step of the session, call `capture` once the solver has its input, and `step` when it
+    is done. Use the recorder in the main thread only. Recording does not wait for the disk.
 
     Args:
-        scene: The session's.
-        simulation: The session's.
-        directory: Where the take goes.
-        header: What is recorded.
+        scene: Scene of the session.
+        simulation: Simulation of the session.
+        directory: Folder of the take.
+        header: Properties of the take.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class TakeRecorder:
         self.directory = directory
         self.header = header
         self.seconds = 0.0
-        """Simulated time since the beginning [s]."""
+        """Simulated time since the start of the take [s]."""
         self.warnings: list[str] = []
         """What the user should know about the take."""
         self._row: StepRow | None = None
@@ -82,7 +82,7 @@ class TakeRecorder:
         self._tool_numbers: dict[bytes, int] = {}
         self._positions = simulation.positions()
         self._colors = simulation.colors
-        layout = followed(scene)
+        layout = recorded_layout(scene)
         meta = Meta(
             start=header.frame_start,
             end=header.frame_start,
@@ -102,18 +102,18 @@ class TakeRecorder:
     def begin(
         cls, scene: bpy.types.Scene, simulation: Simulation, *, directory: Path | None = None
     ) -> TakeRecorder:
-        """Begin to record, with everything where it is now.
+        """Start recording from the current state.
 
         Args:
-            scene: The session's.
-            simulation: The session's; its solver is built, and idle.
-            directory: An empty folder; a new one beside the scene's cache where not given.
+            scene: Scene of the session.
+            simulation: Simulation of the session; its solver is built, and idle.
+            directory: An empty folder; by default a new one beside the scene's cache.
 
         Raises:
-            TakeError: The folder cannot be made or written to, or the .blend was never saved.
+            TakeError: The folder cannot be created or written to, or the .blend was never saved.
         """
         try:
-            folder = directory or free_directory(scene)
+            folder = directory or new_directory(scene)
             layout = simulation.parts
             positions = layout.split(simulation.positions())
             colors = layout.split(simulation.colors)
@@ -129,27 +129,27 @@ class TakeRecorder:
             try:
                 write_start(folder, start)
                 write_header(folder, header)
-                recorder.look(bpy.context.evaluated_depsgraph_get())
+                recorder.capture(bpy.context.evaluated_depsgraph_get())
                 recorder._take_row()
                 recorder._frames.first(recorder._positions)
             except BaseException:
-                recorder.end()
+                recorder.close()
                 raise
         except OSError as error:
-            raise TakeError(f"{folder} cannot be made ({error.strerror or error}).") from error
+            raise TakeError(f"{folder} cannot be created ({error.strerror or error}).") from error
         except (CacheFolderError, CacheError) as error:
             raise TakeError(str(error)) from error
         return recorder
 
     @property
     def problem(self) -> str:
-        """Why nothing can be written now; it is tried again. Empty if all is well."""
+        """Why nothing can be written at the moment; empty if all is well."""
         return self._writer.problem
 
-    # While it is recorded -----------------------------------------------------------------------
+    # During the recording -----------------------------------------------------------------------
 
     def use_tools(self, meshes: Sequence[ToolMesh]) -> None:
-        """Record these tools in the mouse from now on."""
+        """Set the tools moved with the mouse, recorded from now on."""
         numbers = []
         for mesh in meshes:
             tool = ToolShape(
@@ -161,27 +161,29 @@ class TakeRecorder:
                 self._write(partial(write_tool, self.directory, number, tool))
             numbers.append(self._tool_numbers[key])
         if tuple(numbers) != self._steps.layout.tools:
-            self._steps.follow(replace(self._steps.layout, tools=tuple(numbers)))
+            self._steps.set_layout(replace(self._steps.layout, tools=tuple(numbers)))
             self._row = None
 
-    def look(
+    def capture(
         self,
         depsgraph: bpy.types.Depsgraph,
         tools: Sequence[tuple[NDArray[np.floating], bool]] = (),
     ) -> None:
-        """Note what the next step does: call it when the solver is told, with the same state.
+        """Capture the poses for the next step, in the state that the solver was given.
 
         Args:
-            depsgraph: The evaluated scene that the solver was fed from.
-            tools: World from own coordinates [m], shape [4, 4], of each mesh of `use_tools`, and
-                whether the clay feels it.
+            depsgraph: The evaluated scene.
+            tools: Transform from local to world space [m], shape [4, 4], of each mesh of
+                `use_tools`, and whether it touches the clay.
         """
         try:
-            self._row = pose_now(self._steps.layout, depsgraph, list(tools))
+            self._row = read_poses(self._steps.layout, depsgraph, list(tools))
         except (LookupError, ReferenceError):
-            # Colliders or hands came or went.
-            self._steps.follow(followed(depsgraph.scene.original, self._steps.layout.tools))
-            self._row = pose_now(self._steps.layout, depsgraph, list(tools))
+            # Colliders or hands were added or removed.
+            self._steps.set_layout(
+                recorded_layout(depsgraph.scene.original, self._steps.layout.tools)
+            )
+            self._row = read_poses(self._steps.layout, depsgraph, list(tools))
 
     def step(
         self,
@@ -192,15 +194,15 @@ class TakeRecorder:
         """Record the result of a step.
 
         Args:
-            duration: Simulated time [s].
+            duration: Simulated duration [s].
             positions: World positions of all particles [Blender units], shape [N, 3].
-            colors: Linear RGBA, shape [N, 4]; as before if not given.
+            colors: Linear RGBA, shape [N, 4]; unchanged if not given.
         """
         if not duration > 0.0:
             return
         if self._row is None:
             idle = [(np.eye(4), False)] * len(self._steps.layout.tools)
-            self.look(bpy.context.evaluated_depsgraph_get(), idle)
+            self.capture(bpy.context.evaluated_depsgraph_get(), idle)
         before, self._positions = self._positions, np.array(positions, np.float32)
         self._colors = self._colors if colors is None else np.array(colors, np.float32)
         began = self.seconds
@@ -209,12 +211,12 @@ class TakeRecorder:
         self._frames.step(began, duration, before, self._positions)
 
     def edit(self, kind: str, parameters: Mapping[str, Any]) -> None:
-        """Note a change to the particles themselves; `rebuilt` comes next.
+        """Record an edit of the clay; call `rebuilt` next.
 
         Args:
-            kind: What was done: an `EditKind`.
-            parameters: How, independent of the spacing: numbers, texts, lists and arrays of them.
-                Lengths in meters, world space.
+            kind: Kind of edit, an `EditKind`.
+            parameters: Parameters, independent of the particle spacing: numbers, strings, or lists
+                and arrays of them. Lengths in meters, world space.
         """
         self._edits += 1
         self._steps.event(
@@ -222,35 +224,38 @@ class TakeRecorder:
                 "event": "edit",
                 "time": self.seconds,
                 "kind": kind,
-                "parameters": json.loads(json.dumps(dict(parameters), default=_listed)),
+                "parameters": json.loads(json.dumps(dict(parameters), default=_to_json)),
             }
         )
 
     def rebuilt(self, simulation: Simulation) -> None:
-        """Note that the solver was built again, as after an edit.
+        """Continue with a rebuilt solver, as after an edit.
 
         Raises:
-            TakeError: The clay objects are different ones; the take is good up to here.
+            TakeError: The clay objects are different; the take is valid up to here.
         """
         names = [name for name, _, _ in self.header.clay]
         if [part.name for part in simulation.parts] != names:
             raise TakeError(
-                "A clay object was added, renamed or deleted. The clay objects of a take stay the "
-                "same from start to end, so it ends here."
+                "A clay object was added, renamed or deleted, so the take ends here: its clay "
+                "objects must stay the same."
             )
         self._colors = simulation.colors
-        self._place(np.concatenate(simulation.rest).astype(np.float32), simulation)
+        positions = np.concatenate(simulation.rest).astype(np.float32)
+        if len(positions) != len(self._positions):
+            self._frames.replace(self._positions, positions, simulation.parts)
+        self._positions = positions
 
     def mark(self) -> Mark:
-        """This moment, for `rewind`: keep it with an undo step."""
+        """The current moment, to store with an undo step for `rewind`."""
         return Mark(self.seconds, self._edits)
 
     def rewind(self, mark: Mark, simulation: Simulation) -> None:
-        """Go back to an earlier moment, as Undo does: what came later is dropped from the take.
+        """Go back to an earlier moment after Undo, dropping all that came later from the take.
 
         Args:
-            mark: What `mark` gave.
-            simulation: As it is after Undo.
+            mark: Result of `mark`.
+            simulation: The simulation after Undo.
         """
         self._edits = mark.edits
         self._steps.event({"event": "rewind", "time": mark.seconds, "edits": mark.edits})
@@ -258,45 +263,40 @@ class TakeRecorder:
         self._frames.rewind(mark.seconds)
         self.rebuilt(simulation)
 
-    def _place(self, positions: NDArray[np.float32], simulation: Simulation) -> None:
-        if len(positions) != len(self._positions):
-            self._frames.replace(self._positions, positions, simulation.parts)
-        self._positions = positions
-
     def _take_row(self) -> None:
         assert self._row is not None
         if self._steps.add(self._row, self.seconds):
-            self._frames.tell_end()
+            self._frames.write_end()
         self._row = None
 
     def _write(self, task: Callable[[], None]) -> None:
-        # Before the frames that wait, which can be computed again.
+        # Ahead of waiting frames, which can be computed again.
         self._writer.do(task, first=True)
 
     # The end ------------------------------------------------------------------------------------
 
-    def end(self) -> None:
-        """End the thread after it has written what it can; a second call does nothing."""
+    def close(self) -> None:
+        """Write as much as possible and end the thread; a second call does nothing."""
         with suppress(CacheError):
             self._writer.close()
 
-    def leave(self) -> None:
-        """End the take on the disk only, as its scene is gone; Recover Take finds it there."""
+    def abandon(self) -> None:
+        """End a take whose scene was deleted. Its files can be opened with Recover Take."""
         try:
             self._steps.flush()
             self._frames.last(self.seconds, self._positions)
         finally:
-            self.end()
+            self.close()
 
-    def finish(self, scene: bpy.types.Scene) -> Stored:
+    def finish(self, scene: bpy.types.Scene) -> StoredTake:
         """End the take and put it on the timeline.
 
         Hands and tools get keyframes, the frame range becomes that of the take, the clay at its
-        start is stored in the .blend, and the timeline plays the clay as it happened. The current
-        frame is the last, which shows the clay as it was left.
+        start is stored in the .blend, and the frames of the clay are played back. The current frame
+        becomes the last, which shows the clay at the end of the session.
 
         Args:
-            scene: The session's, after the session has ended and kept its clay.
+            scene: Scene of the session, which has ended and stored its clay.
 
         Raises:
             TakeError: Nothing was recorded.
@@ -304,31 +304,31 @@ class TakeRecorder:
         self._steps.flush()
         self._frames.last(self.seconds, self._positions)
         header = replace(self.header, seconds=self.seconds)
-        colors = self._colors_shown(scene)
+        colors = self._painted_colors(scene)
         self._write(lambda: write_header(self.directory, header))
         self._write(lambda: Cache(self.directory).write_colors(colors))
         try:
             self._writer.close()
         except CacheError as error:
             self.warnings.append(
-                f"{error} Hands and tools are on the timeline nevertheless; Bake Again computes "
-                "the clay's frames again."
+                f"{error} The motion of hands and tools is on the timeline nevertheless; Bake "
+                "Again computes the frames of the clay."
             )
         if self.seconds == 0.0:
             raise TakeError("Nothing was recorded: no time was simulated.")
         stored = store_take(scene, self.directory, unwritten=self._steps.unwritten)
         return stored._replace(warnings=(*self.warnings, *stored.warnings))
 
-    def _colors_shown(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
-        """Colors of all particles as painted last, shape [N, 4]."""
+    def _painted_colors(self, scene: bpy.types.Scene) -> NDArray[np.float32]:
+        """Current colors of all particles in the scene, shape [N, 4]."""
         items = [scene.objects.get(name) for name, _, _ in self.header.clay]
         parts = [clay_colors(item) for item in items if item is not None]
         colors = np.concatenate([np.zeros((0, 4), np.float32), *parts])
         return colors if len(colors) == len(self._colors) else self._colors
 
 
-def free_directory(scene: bpy.types.Scene) -> Path:
-    """A folder for a new take, beside the scene's cache.
+def new_directory(scene: bpy.types.Scene) -> Path:
+    """An unused folder for a new take, beside the scene's cache.
 
     Raises:
         CacheFolderError: The scene has no cache folder, or the .blend was never saved.
@@ -342,9 +342,9 @@ def free_directory(scene: bpy.types.Scene) -> Path:
     return path
 
 
-def _listed(value: object) -> object:
+def _to_json(value: object) -> object:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Sequence):
         return list(value)
-    raise TypeError(f"An edit's parameter is {value!r}, which cannot be written to a file.")
+    raise TypeError(f"The parameter {value!r} of an edit cannot be written to a file.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The steps of a take while it is recorded: collected for two seconds, then written."""
+"""Buffer for the steps of a take during the recording, written every two seconds."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ..core.take.writer import TakeWriter
 from .pose import StepRow
 
 SECONDS_AT_RISK = 2.0
-"""Simulated time in one file [s]: a crash costs at most this much."""
+"""Simulated time in one file [s]: a crash loses at most this much."""
 
 
 class TakeSteps:
-    """Collects steps and events, and hands them to the writer.
+    """Collects steps and events, and passes them to the writer.
 
     Args:
-        directory: The take's folder.
-        writer: Writes them.
-        layout: What is recorded.
+        directory: Folder of the take.
+        writer: Thread that writes the files.
+        layout: Objects to record.
     """
 
     def __init__(self, directory: Path, writer: TakeWriter, layout: Layout) -> None:
         self.layout = layout
         self.unwritten: dict[int, Steps] = {}
-        """Steps that are not on the disk yet, by the number of their file."""
+        """Steps not yet on disk, by file number."""
         self._directory = directory
         self._writer = writer
         self._rows: list[StepRow] = []
@@ -40,27 +40,27 @@ class TakeSteps:
         self._files = 0
 
     def add(self, row: StepRow, seconds: float) -> bool:
-        """Add a step that ended at a time [s]; whether a file was handed to the writer."""
+        """Add a step that ended at a time [s], and return whether steps were passed on."""
         self._rows.append(row)
         self._times.append(seconds)
         full = seconds - self._times[0] >= SECONDS_AT_RISK
         return full and self.flush()
 
     def event(self, event: dict[str, Any]) -> None:
-        """Add an edit or a rewind, and have it written at once."""
+        """Add an edit or rewind, and pass it on at once."""
         self._events.append({"after": self._count + len(self._rows), **event})
         self.flush()
 
-    def follow(self, layout: Layout) -> None:
-        """Record something else from now on."""
+    def set_layout(self, layout: Layout) -> None:
+        """Change the recorded objects from now on."""
         self.flush()
         self.layout = layout
 
     def flush(self) -> bool:
-        """Hand what was collected to the writer; whether there was anything."""
+        """Pass collected steps and events to the writer, and return whether there were any."""
         if not self._rows and not self._events:
             return False
-        rows = self._rows or [_nothing(self.layout)]
+        rows = self._rows or [_empty_row(self.layout)]
         columns = StepRow(
             *(np.stack(column)[: len(self._rows)] for column in zip(*rows, strict=True))
         )
@@ -69,7 +69,7 @@ class TakeSteps:
         self.unwritten[number] = steps
         self._count += len(self._rows)
         self._rows, self._times, self._events = [], [], []
-        # Before the frames that wait, which can be computed again.
+        # Ahead of waiting frames, which can be computed again.
         self._writer.do(partial(self._write, number, steps), first=True)
         return True
 
@@ -78,8 +78,8 @@ class TakeSteps:
         self.unwritten.pop(number, None)
 
 
-def _nothing(layout: Layout) -> StepRow:
-    """An empty row of a layout, for the shapes of its arrays."""
+def _empty_row(layout: Layout) -> StepRow:
+    """A row of zeros in the array shapes of a layout."""
     bones = sum(len(names) for _, names in layout.armatures)
     return StepRow(
         np.zeros((len(layout.objects), 4, 4), np.float32),

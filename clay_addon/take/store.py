@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A take in a .blend: keyframes, the clay at its start, its edits, and where its frames are."""
+"""A take in a .blend: keyframes, the clay at its start, its edits, and the folder of its frames."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from ..core.take.files import read_take
 from ..model.clay_points import SCULPTED_MARK
 from ..model.clay_scene import clay_objects
 from ..playback.playback import refresh
-from ..simulate.edited_clay import edits_of_text, edits_text
+from ..simulate.edited_clay import edits_from_text, edits_to_text
 from .keys import key_take
 
 _MAX_SAMPLE_SECONDS = 1 / 60
-"""Longest time between samples of hands and tools when a take is baked again [s]."""
+"""Maximum sampling interval of hands and tools when a take is baked again [s]."""
 
 
-class Stored(NamedTuple):
-    """What was put into the .blend."""
+class StoredTake(NamedTuple):
+    """Result of `store_take`."""
 
     directory: Path
-    """Where its files are."""
+    """Folder of the take."""
     first: int
     """First frame."""
     last: int
@@ -41,16 +41,16 @@ class Stored(NamedTuple):
 
 def store_take(
     scene: bpy.types.Scene, directory: Path, *, unwritten: Mapping[int, Steps] | None = None
-) -> Stored:
+) -> StoredTake:
     """Put a take on a scene's timeline.
 
     Args:
-        scene: The take's.
-        directory: Its folder; it may have been cut short.
-        unwritten: Steps that are not in the folder, by the number of their file.
+        scene: Scene of the take.
+        directory: Folder of the take, which may have been interrupted.
+        unwritten: Steps not yet in the folder, by file number.
 
     Raises:
-        CacheError: The folder holds no take, or it is damaged.
+        CacheError: The folder holds no take, or the take is damaged.
     """
     take = read_take(directory, unwritten=unwritten)
     warnings = []
@@ -61,28 +61,28 @@ def store_take(
     clay = {item.name: item for item in clay_objects(scene)}
     for name, (positions, colors) in take.start.items():
         if name in clay:
-            _keep_start(clay[name], positions, colors)
+            _store_start(clay[name], positions, colors)
         else:
             warnings.append(f"The clay {name!r} of the take cannot be found in this file.")
     properties = scene.tactile_clay
     rate = take.header.frames_per_second
-    properties.take_edits = edits_text(take.edits, start=keyed.first, rate=rate)
+    properties.take_edits = edits_to_text(take.edits, start=keyed.first, rate=rate)
     properties.motion_samples = max(1, math.ceil(1.0 / (rate * _MAX_SAMPLE_SECONDS) - 1e-6))
-    properties.cache_directory = beside_blend(directory, properties.cache_directory)
+    properties.cache_directory = stored_path(directory, properties.cache_directory)
     scene.frame_start, scene.frame_end = keyed.first, keyed.last
     properties.use_scene_range = True
     for item in clay.values():
-        # These frames show what was sculpted.
+        # The frames already show the sculpted shape.
         item.data.pop(SCULPTED_MARK, None)
     scene.frame_set(keyed.last)
     refresh(scene)
-    return Stored(directory, keyed.first, keyed.last, keyed.objects, tuple(warnings))
+    return StoredTake(directory, keyed.first, keyed.last, keyed.objects, tuple(warnings))
 
 
 def take_start(
     item: bpy.types.Object,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-    """The clay of an object at the start of its last take; None without a take.
+    """The particles of a clay object at the start of its last take; None without a take.
 
     Returns:
         World positions [Blender units], shape [N, 3], and linear RGBA, shape [N, 4].
@@ -101,15 +101,16 @@ def take_start(
 
 def take_edits(scene: bpy.types.Scene) -> list[TakeEdit]:
     """The edits of a scene's take, in the order they were made."""
-    return edits_of_text(scene.tactile_clay.take_edits)
+    return edits_from_text(scene.tactile_clay.take_edits)
 
 
-def _keep_start(
+def _store_start(
     item: bpy.types.Object, positions: NDArray[np.float32], colors: NDArray[np.float32]
 ) -> None:
-    """Keep the clay at the start of a take in the .blend.
+    """Store the particles of a clay object at the start of a take in the .blend.
 
-    It is in a hidden mesh, since the clay object may have a different number of points by now.
+    They are stored as a mesh without an object, since the clay object may have a different number
+    of points by now.
     """
     before = item.tactile_clay.take_start
     mesh = bpy.data.meshes.new(f"{item.name} take start")
@@ -122,9 +123,9 @@ def _keep_start(
         bpy.data.meshes.remove(before)
 
 
-def beside_blend(directory: Path, like: str) -> str:
-    """A folder as a property stores it: relative to the .blend if it was so before."""
-    if like.startswith("//") and bpy.data.filepath:
+def stored_path(directory: Path, previous: str) -> str:
+    """Path of a folder as stored in a property: relative to the .blend if the previous one was."""
+    if previous.startswith("//") and bpy.data.filepath:
         try:
             return str(bpy.path.relpath(str(directory)))
         except ValueError:

@@ -148,7 +148,7 @@ def test_exit_codes_reach_the_shell(blender_with_extension: Any, scene_file: Pat
     assert moved.exit_code == 0, moved.output
     stale = command(blender, scene_file, "bake", "--resume")
     assert stale.exit_code == 3, stale.output
-    assert "since then changed: gravity" in stale.output
+    assert "the scene has changed: gravity" in stale.output
 
 
 def test_panel_draws_and_bakes_in_a_window(blender_with_extension: Any, scene_file: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The check before a release is content with what was built, and names what is wrong."""
+"""The check before a release accepts built zips and reports problems."""
 
 import io
 import shutil
@@ -18,7 +18,7 @@ def check(repository: Path, folder: Path, *options: str) -> subprocess.Completed
 
 
 def rewrite(path: Path, changes: dict[str, bytes | None]) -> None:
-    """Replace, add or drop (None) files in a zip."""
+    """Replace, add or remove (None) files in a zip."""
     with zipfile.ZipFile(path) as archive:
         files: dict[str, bytes | None] = {
             name: archive.read(name) for name in archive.namelist() if not name.endswith("/")
@@ -30,7 +30,7 @@ def rewrite(path: Path, changes: dict[str, bytes | None]) -> None:
 
 
 def wheel(license_line: str) -> bytes:
-    """A wheel that holds nothing but a licence."""
+    """A wheel that contains only a license."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         text = f"Metadata-Version: 2.4\nName: pyusb\nVersion: 1.3.1\n{license_line}\n"
@@ -40,16 +40,16 @@ def wheel(license_line: str) -> bytes:
 
 @pytest.fixture
 def release(extension_zip_without_wheels: Path, tmp_path: Path) -> Path:
-    """A folder with a copy of this machine's zip, without wheels, and its index."""
+    """A folder with a copy of the zip for this machine, without wheels, and its index."""
     for name in (extension_zip_without_wheels.name, "index.json"):
         shutil.copy(extension_zip_without_wheels.parent / name, tmp_path)
     return tmp_path
 
 
-def test_whole_release_passes(repository: Path, request: pytest.FixtureRequest) -> None:
-    """Pass the zip with its wheels, and list the licence of each."""
+def test_complete_release_passes(repository: Path, request: pytest.FixtureRequest) -> None:
+    """The zip with its wheels passes, and the license of each wheel is listed."""
     if not list((repository / "wheels").glob("warp_lang-*.whl")):
-        pytest.skip("the wheels are not here: run `make extension` once")
+        pytest.skip("needs the wheels: run `make extension` once")
     folder = request.getfixturevalue("extension_zip").parent
     result = check(repository, folder, "--platforms", "here")
     assert (result.returncode, result.stderr) == (0, "")
@@ -57,8 +57,8 @@ def test_whole_release_passes(repository: Path, request: pytest.FixtureRequest) 
     assert "trimesh-5.2.0-py3-none-any.whl: MIT\n" in result.stdout
 
 
-def test_what_does_not_belong_or_is_missing_is_named(repository: Path, release: Path) -> None:
-    """Name each test, cache, altered and missing file, and wheels that are not there."""
+def test_foreign_altered_and_missing_files_are_named(repository: Path, release: Path) -> None:
+    """Tests, caches, altered files, missing files and missing wheels are named."""
     (path,) = release.glob("*.zip")
     changes: dict[str, bytes | None] = {
         "tests/conftest.py": b"",
@@ -71,37 +71,37 @@ def test_what_does_not_belong_or_is_missing_is_named(repository: Path, release: 
     result = check(repository, release, "--platforms", "here")
     assert result.returncode == 1
     for problem in (
-        "tests/conftest.py does not belong in it",
-        "solver/__pycache__/solver.cpython-313.pyc does not belong in it",
-        "solver/notes.txt does not belong in it",
-        "solver/solver.py differs from the repository's",
+        "tests/conftest.py does not belong in a release",
+        "solver/__pycache__/solver.cpython-313.pyc does not belong in a release",
+        "solver/notes.txt does not belong in a release",
+        "solver/solver.py differs from the repository",
         "LICENSE is missing",
         "wheels/pyusb-1.3.1-py3-none-any.whl is missing",
-        "its manifest names other wheels",
-        f"index.json: {path.name} has changed since",
+        "the manifest lists other wheels",
+        f"index.json: {path.name} has changed since it was indexed",
     ):
         assert problem in result.stderr
 
 
-def test_licence_that_does_not_go_with_the_gpl_is_refused(repository: Path, release: Path) -> None:
-    """Refuse a wheel whose licence is not known, and take one whose classifier tells it."""
+def test_license_incompatible_with_the_gpl_is_refused(repository: Path, release: Path) -> None:
+    """A wheel with an unknown license is refused; a classifier may state the license."""
     (path,) = release.glob("*.zip")
     name = "wheels/pyusb-1.3.1-py3-none-any.whl"
     for line in ("License: Proprietary", "Classifier: Topic :: Games"):
         rewrite(path, {name: wheel(line)})
         result = check(repository, release, "--platforms", "here")
         assert f"{name} is under '" in result.stderr
-        assert "not known to go with the GPL" in result.stderr
+        assert "not known to be compatible with the GPL" in result.stderr
     rewrite(path, {name: wheel("Classifier: License :: OSI Approved :: MIT License")})
     result = check(repository, release, "--platforms", "here")
-    assert "go with the GPL" not in result.stderr
+    assert "compatible with the GPL" not in result.stderr
     assert "pyusb-1.3.1-py3-none-any.whl: MIT\n" in result.stdout
 
 
-def test_platform_that_is_missing_is_named(repository: Path, release: Path) -> None:
-    """Ask for a zip of every platform of the manifest, and for none of another version."""
+def test_missing_platform_is_named(repository: Path, release: Path) -> None:
+    """Zips for all platforms of the manifest are required; those of other versions are refused."""
     (release / "tactile_clay-0.0.1-linux_x64.zip").write_bytes(b"")
     result = check(repository, release)
     assert result.returncode == 1
-    assert result.stderr.count("there is none in") == 2
-    assert "tactile_clay-0.0.1-linux_x64.zip: it is not of this release" in result.stderr
+    assert result.stderr.count("not found in") == 2
+    assert "tactile_clay-0.0.1-linux_x64.zip: not part of this release" in result.stderr

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The script that makes the environment says what is wrong and destroys nothing."""
+"""The script that creates the environment explains problems and deletes nothing else."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ import pytest
 
 @pytest.fixture
 def checkout(repository: Path, tmp_path: Path) -> Path:
-    """A folder with what the script needs, in which it may do as it likes."""
+    """A separate folder with the files that the script needs."""
     folder = tmp_path / "a clone with spaces"
     (folder / "tools").mkdir(parents=True)
     shutil.copy(repository / "tools" / "environment.sh", folder / "tools")
@@ -22,7 +22,7 @@ def checkout(repository: Path, tmp_path: Path) -> Path:
 def run_script(
     checkout: Path, *arguments: str, **variables: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run the script with variables set on top of the usual ones."""
+    """Run the script with additional environment variables."""
     return subprocess.run(
         ["sh", str(checkout / "tools" / "environment.sh"), *arguments],
         capture_output=True,
@@ -40,7 +40,7 @@ def make_program(path: Path, text: str) -> Path:
 
 
 def test_missing_override_is_named(checkout: Path) -> None:
-    """Name the PYTHON that was given when there is no such program."""
+    """The message names a PYTHON that does not exist."""
     result = run_script(checkout, ".venv", PYTHON="/nowhere/python3.13")
     assert result.returncode != 0
     assert "/nowhere/python3.13" in result.stderr
@@ -48,7 +48,7 @@ def test_missing_override_is_named(checkout: Path) -> None:
 
 
 def test_unusable_override_is_explained(checkout: Path) -> None:
-    """Repeat what a Python that cannot make environments said."""
+    """The message contains the output of a Python that cannot create environments."""
     python = make_program(checkout / "python", "echo no module named ensurepip; exit 1")
     result = run_script(checkout, ".venv", PYTHON=str(python))
     assert result.returncode != 0
@@ -57,8 +57,8 @@ def test_unusable_override_is_explained(checkout: Path) -> None:
     assert "3.11" in result.stderr
 
 
-def test_broken_shim_is_passed_over(checkout: Path) -> None:
-    """Look past a shim on the PATH that runs nothing."""
+def test_broken_shim_is_skipped(checkout: Path) -> None:
+    """A shim in the PATH that does not run is skipped."""
     folder = checkout / "shims"
     folder.mkdir()
     make_program(folder / "python3.10", "echo 'pyenv: python3.10: command not found' >&2; exit 127")
@@ -70,15 +70,15 @@ def test_broken_shim_is_passed_over(checkout: Path) -> None:
     assert result.stdout.strip() == "/opt/true/python3.10"
 
 
-def test_version_that_is_nowhere_is_not_found(checkout: Path) -> None:
-    """Exit with an error and print nothing when no Python has the version."""
+def test_missing_version_is_not_found(checkout: Path) -> None:
+    """If no Python has the version, the script fails and prints nothing."""
     result = run_script(checkout, "--find", "3.99")
     assert result.returncode == 1
     assert result.stdout == ""
 
 
 def test_folder_of_another_kind_is_left_alone(checkout: Path) -> None:
-    """Refuse to replace a folder that is no environment."""
+    """A folder that is not an environment is not replaced."""
     folder = checkout / "letters"
     folder.mkdir()
     (folder / "to-grandmother.txt").write_text("dear grandmother")

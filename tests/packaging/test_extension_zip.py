@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's zip holds what the product needs at run time and nothing else."""
+"""The extension's zip contains the files needed at run time and nothing else."""
 
 import subprocess
 import sys
@@ -14,7 +14,7 @@ SINGLE_FILES = {"LICENSE", "README.md", "__init__.py", "blender_manifest.toml"}
 
 
 def product_files(repository: Path) -> set[str]:
-    """List what belongs into the zip beside the wheels."""
+    """The files that belong in the zip besides the wheels."""
     return SINGLE_FILES | {
         path.relative_to(repository).as_posix()
         for part in PARTS
@@ -23,20 +23,20 @@ def product_files(repository: Path) -> set[str]:
     }
 
 
-def test_zip_holds_the_product_and_nothing_else(
+def test_zip_contains_exactly_the_product(
     repository: Path, extension_zip_without_wheels: Path
 ) -> None:
-    """Pack every file of the product, and no test, tool, cache or folder of the developer's."""
+    """The zip contains no tests, tools, caches or development files."""
     with zipfile.ZipFile(extension_zip_without_wheels) as archive:
         assert set(archive.namelist()) == product_files(repository)
 
 
-def test_zip_with_wheels_holds_the_wheels_of_one_platform(
+def test_zip_with_wheels_has_the_wheels_of_one_platform(
     repository: Path, request: pytest.FixtureRequest
 ) -> None:
-    """Pack the six wheels of this platform, and name these alone in the manifest."""
+    """The zip contains, and its manifest lists, only the six wheels of this platform."""
     if not list((repository / "wheels").glob("warp_lang-*.whl")):
-        pytest.skip("the wheels are not here: run `make extension` once")
+        pytest.skip("needs the wheels: run `make extension` once")
     with zipfile.ZipFile(request.getfixturevalue("extension_zip")) as archive:
         names = set(archive.namelist())
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
@@ -55,7 +55,7 @@ def test_zip_with_wheels_holds_the_wheels_of_one_platform(
 
 
 def test_unknown_platform_is_refused_by_name(repository: Path, tmp_path: Path) -> None:
-    """Say which platforms there are when asked for another."""
+    """The message names the unknown platform and lists the others."""
     command = [sys.executable, str(repository / "tools" / "extension.py")]
     command += ["--platforms", "amiga-m68k", "--output", str(tmp_path)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)

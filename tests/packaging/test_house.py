@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What keeps the sources a house that one can find one's way in."""
+"""Rules that keep the sources easy to navigate."""
 
 import ast
 import re
@@ -10,9 +10,9 @@ import pytest
 
 PARTS = ("clay_addon", "haptics", "solver")
 MAX_FILES = 15
-"""Python files in a folder, its face included."""
+"""Maximum number of Python files in a folder, including __init__.py."""
 MAX_LINES = 450
-"""Lines in a file: some screens."""
+"""Maximum number of lines in a file."""
 PRINTING = (
     "clay_addon/command/",
     "clay_addon/core/tracking/command.py",
@@ -20,7 +20,7 @@ PRINTING = (
     "haptics/array_server/command.py",
     "haptics/array_server/guard.py",
 )
-"""Programs of their own, which speak to a terminal."""
+"""Programs, which print to a terminal."""
 OLD_BOUNDS = re.compile(
     r"^\s*_?(MOST|LEAST|FEWEST|LARGEST|SMALLEST|LONGEST|SHORTEST|FASTEST|MAXIMUM|MINIMUM)_\w+"
     r" *[:=,]",
@@ -29,26 +29,26 @@ OLD_BOUNDS = re.compile(
 
 
 def sources(repository: Path) -> Iterator[Path]:
-    """The product's Python files."""
+    """Python files of the product."""
     for part in PARTS:
         yield from sorted((repository / part).rglob("*.py"))
 
 
-def test_every_folder_is_a_package_with_a_subject(repository: Path) -> None:
-    """Say in each folder's face what it is about, and keep folders small."""
+def test_every_folder_is_a_documented_package(repository: Path) -> None:
+    """Each folder has an __init__.py with a docstring, and not too many files."""
     for part in PARTS:
         for folder in [repository / part, *(repository / part).rglob("*")]:
             files = list(folder.glob("*.py")) if folder.is_dir() else []
             if not files:
                 continue
-            face = folder / "__init__.py"
-            assert face in files, f"{folder} has no __init__.py"
-            assert ast.get_docstring(ast.parse(face.read_text("utf-8"))), f"{face} says nothing"
+            init = folder / "__init__.py"
+            assert init in files, f"{folder} has no __init__.py"
+            assert ast.get_docstring(ast.parse(init.read_text("utf-8"))), f"{init} has no docstring"
             assert len(files) <= MAX_FILES, f"{folder} has {len(files)} files"
 
 
-def test_no_file_is_longer_than_some_screens(repository: Path) -> None:
-    """Keep each file readable in one sitting."""
+def test_no_file_is_too_long(repository: Path) -> None:
+    """No file has more than `MAX_LINES` lines."""
     long = {
         str(path.relative_to(repository)): lines
         for path in sources(repository)
@@ -58,7 +58,7 @@ def test_no_file_is_longer_than_some_screens(repository: Path) -> None:
 
 
 def test_state_has_owners(repository: Path) -> None:
-    """Use no global statement: what changes belongs to an object."""
+    """There is no global statement: state belongs to an object."""
     found = [
         f"{path.relative_to(repository)}:{node.lineno}"
         for path in sources(repository)
@@ -69,7 +69,7 @@ def test_state_has_owners(repository: Path) -> None:
 
 
 def test_only_programs_print(repository: Path) -> None:
-    """Log what a library has to say; print only from programs that own their terminal."""
+    """Only programs print; libraries use logging."""
     found = [
         f"{name}:{node.lineno}"
         for path in sources(repository)
@@ -83,11 +83,11 @@ def test_only_programs_print(repository: Path) -> None:
 
 
 def test_errors_have_one_base(repository: Path) -> None:
-    """Derive every error of the project from TactileClayError, directly or not."""
-    strangers = [
+    """Every error of the project derives from TactileClayError, directly or indirectly."""
+    others = [
         f"{path.relative_to(repository)}: {node.name}"
         for path in sources(repository)
-        # Runs in an environment of its own, without the project.
+        # Runs in a separate environment, without the project.
         if path.name != "mediapipe_worker.py"
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
         if isinstance(node, ast.ClassDef)
@@ -97,12 +97,12 @@ def test_errors_have_one_base(repository: Path) -> None:
             isinstance(base, ast.Name) and base.id.endswith("Error") for base in node.bases[:1]
         )
     ]
-    assert strangers == []
+    assert others == []
 
 
 @pytest.mark.parametrize("pattern", [r"\bscale_length\b"], ids=["units"])
-def test_units_are_turned_in_one_place(repository: Path, pattern: str) -> None:
-    """Read the length of a Blender unit in one module, and in the view that core is handed."""
+def test_units_are_converted_in_one_place(repository: Path, pattern: str) -> None:
+    """Only one module, and the view passed to core, reads the length of a Blender unit."""
     allowed = {"clay_addon/base/units.py", "clay_addon/core/brush/view_region.py"}
     found = {
         path.relative_to(repository).as_posix()
@@ -112,8 +112,8 @@ def test_units_are_turned_in_one_place(repository: Path, pattern: str) -> None:
     assert found <= allowed
 
 
-def test_bounds_are_named_alike(repository: Path) -> None:
-    """Begin the names of bounds with MAX_ or MIN_."""
+def test_bounds_are_named_consistently(repository: Path) -> None:
+    """Names of bounds begin with MAX_ or MIN_."""
     found = [
         f"{path.relative_to(repository)}: {match[0].strip()}"
         for path in sources(repository)

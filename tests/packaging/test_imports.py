@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What importing a part of the package may bring along."""
+"""Dependencies that importing a part of the package must not load."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ BLENDER_MODULES = {"bl_ext", "bmesh", "bpy", "bpy_extras", "gpu", "gpu_extras", 
 
 
 def run_python(source: str) -> subprocess.CompletedProcess[str]:
-    """Run source in a fresh interpreter that does not wait for Blender's threads at its end."""
+    """Run source in a new interpreter that exits without waiting for Blender's threads."""
     ending = "\nimport os, sys\nsys.stdout.flush()\nos._exit(0)\n"
     return subprocess.run(
         [sys.executable, "-c", source + ending], capture_output=True, text=True, check=False
@@ -29,20 +29,20 @@ def run_python(source: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("name", ["solver", "haptics"])
 def test_part_imports_without_blender(name: str) -> None:
-    """Import the solver and the haptics where there is no Blender at all."""
+    """The solver and haptics can be imported without Blender."""
     result = run_python(BLOCK.format(names=BLENDER_MODULES) + f"import tactile_clay.{name}")
     assert result.returncode == 0, result.stderr
 
 
 def test_block_hides_blender() -> None:
-    """Hide bpy, without which the test above would hold nothing."""
+    """The block really hides bpy, which the test above relies on."""
     result = run_python(BLOCK.format(names=BLENDER_MODULES) + "import bpy")
     assert result.returncode != 0
     assert "blocked: bpy" in result.stderr
 
 
 def test_addon_registers_without_importing_warp() -> None:
-    """Leave Warp alone while the add-on is imported, registered and unregistered, twice."""
+    """Importing, registering and unregistering the add-on, twice, does not load Warp."""
     result = run_python(
         "import sys, bpy, tactile_clay\n"
         "for _ in range(2):\n"
@@ -54,8 +54,8 @@ def test_addon_registers_without_importing_warp() -> None:
     assert "warp loaded: False" in result.stdout
 
 
-def test_addon_registers_without_what_only_touch_needs() -> None:
-    """Leave the packages of arrays alone while the add-on registers, and do without them."""
+def test_addon_registers_without_packages_for_arrays() -> None:
+    """The add-on registers without the packages for ultrasound arrays, and without haptics."""
     result = run_python(
         BLOCK.format(names={"serial", "usb", "autd3", "libusb_package"})
         + "import bpy, tactile_clay\n"
@@ -67,8 +67,8 @@ def test_addon_registers_without_what_only_touch_needs() -> None:
     assert "haptics loaded: False" in result.stdout
 
 
-def test_addon_registers_where_warp_is_missing() -> None:
-    """Register and unregister where a broken installation has no Warp."""
+def test_addon_registers_without_bundled_packages() -> None:
+    """The add-on registers and unregisters in a broken installation without its wheels."""
     result = run_python(
         BLOCK.format(names={"warp", "pysplashsurf", "trimesh"})
         + "import bpy, tactile_clay\ntactile_clay.register()\ntactile_clay.unregister()"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's manifest agrees with the project and obeys the format's limits."""
+"""The extension's manifest is consistent with the project."""
 
 import re
 import tomllib
@@ -19,7 +19,7 @@ def manifest(repository: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def project(repository: Path) -> dict[str, Any]:
-    """The project's table of pyproject.toml."""
+    """The ``project`` table of pyproject.toml."""
     tables: dict[str, Any] = tomllib.loads((repository / "pyproject.toml").read_text("utf-8"))
     project: dict[str, Any] = tables["project"]
     return project
@@ -28,7 +28,7 @@ def project(repository: Path) -> dict[str, Any]:
 def test_version_is_the_same_everywhere(
     repository: Path, manifest: dict[str, Any], project: dict[str, Any]
 ) -> None:
-    """Give the extension, the Python package and the newest entry of the changes one version."""
+    """Extension, Python package and the newest entry of the changelog have the same version."""
     changes = (repository / "CHANGELOG.md").read_text("utf-8")
     newest = re.search(r"^## \[(\d+\.\d+\.\d+)\]", changes, flags=re.MULTILINE)
     assert newest is not None
@@ -36,10 +36,10 @@ def test_version_is_the_same_everywhere(
 
 
 @pytest.mark.parametrize("tag", ["manylinux", "win_amd64", "macosx"])
-def test_each_platform_bundles_what_the_project_needs(
+def test_each_platform_bundles_the_dependencies(
     tag: str, manifest: dict[str, Any], project: dict[str, Any]
 ) -> None:
-    """Bundle a wheel of every dependency but numpy, which Blender brings, as new as asked for."""
+    """Each dependency except numpy, which is part of Blender, has one wheel of a valid version."""
     wheels = [parse_wheel_filename(Path(path).name) for path in manifest["wheels"]]
     needed = [Requirement(text) for text in project["dependencies"]]
     for requirement in needed:
@@ -55,8 +55,8 @@ def test_each_platform_bundles_what_the_project_needs(
         assert versions[0] in requirement.specifier
 
 
-def test_wheels_serve_every_python(manifest: dict[str, Any]) -> None:
-    """Bundle no wheel that is bound to one Python, since each Blender has another."""
+def test_wheels_support_every_python(manifest: dict[str, Any]) -> None:
+    """No wheel requires a specific Python, since Blender versions differ in theirs."""
     for path in manifest["wheels"]:
         _, _, _, tags = parse_wheel_filename(Path(path).name)
         assert all(tag.abi in {"abi3", "none"} for tag in tags), path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The index beside the zips is a repository that Blender's own tool installs and updates from."""
+"""Blender's own tool installs and updates the extension from the index beside the zips."""
 
 import hashlib
 import json
@@ -19,21 +19,24 @@ from tactile_clay.tests.extension_repository import (
 )
 
 
-def version_now(repository: Path) -> str:
+def current_version(repository: Path) -> str:
     """The version of these sources."""
     manifest = tomllib.loads((repository / "blender_manifest.toml").read_text("utf-8"))
     return str(manifest["version"])
 
 
-def test_index_tells_each_zip(repository: Path, extension_zip_without_wheels: Path) -> None:
-    """List the zip by a relative address, with its size, checksum, platform and Blender."""
+def test_index_lists_each_zip(repository: Path, extension_zip_without_wheels: Path) -> None:
+    """The zip is listed with a relative URL, its size, checksum, version and Blender version."""
     folder = extension_zip_without_wheels.parent
     (entry,) = json.loads((folder / "index.json").read_text("utf-8"))["data"]
     content = extension_zip_without_wheels.read_bytes()
     assert entry["archive_url"] == f"./{extension_zip_without_wheels.name}"
     assert entry["archive_size"] == len(content)
     assert entry["archive_hash"] == f"sha256:{hashlib.sha256(content).hexdigest()}"
-    assert (entry["version"], entry["blender_version_min"]) == (version_now(repository), "4.5.0")
+    assert (entry["version"], entry["blender_version_min"]) == (
+        current_version(repository),
+        "4.5.0",
+    )
     assert extension_zip_without_wheels.name in (folder / "index.html").read_text("utf-8")
     assert sorted(path.name for path in folder.iterdir()) == [
         "index.html",
@@ -45,11 +48,11 @@ def test_index_tells_each_zip(repository: Path, extension_zip_without_wheels: Pa
 def test_extension_is_updated_from_the_index(
     repository: Path, extension_zip_without_wheels: Path, tmp_path: Path
 ) -> None:
-    """Install an older version, then this one over it, of which nothing old is left."""
+    """Installing this version over an older one leaves no old files."""
     (served := tmp_path / "served").mkdir()
     local = tmp_path / "local"
     installed = local / "tactile_clay"
-    old = make_older(extension_zip_without_wheels, version_now(repository), served)
+    old = make_older(extension_zip_without_wheels, current_version(repository), served)
 
     with serve(served) as url:
         common = ("--local-dir", str(local), "--remote-url", url)
@@ -68,7 +71,7 @@ def test_extension_is_updated_from_the_index(
         run_tool("sync", *common)
         run_tool("install", "tactile_clay", *common, *versions)
         manifest = tomllib.loads((installed / "blender_manifest.toml").read_text("utf-8"))
-        assert manifest["version"] == version_now(repository)
+        assert manifest["version"] == current_version(repository)
         assert not (installed / OLD_FILE).exists()
         run_tool("uninstall", "tactile_clay", "--local-dir", str(local))
         assert not installed.exists()

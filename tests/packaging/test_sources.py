@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What holds for every file that people read."""
+"""Rules for all text files of the repository."""
 
 import re
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ PERSONAL = re.compile(r"/(?:home|Users)/\w|/root\b|/work/|[a-z]:\\Users|\bpypi\b
 
 
 def text_files(repository: Path) -> Iterator[Path]:
-    """List the repository's own text files, without what was built or fetched."""
+    """Text files of the repository, without built or downloaded ones."""
     for path in repository.iterdir():
         if path.is_file() and path.suffix in TEXTS and path.name != ".git":
             yield path
@@ -23,7 +23,7 @@ def text_files(repository: Path) -> Iterator[Path]:
 
 
 def test_every_source_file_names_its_license(repository: Path) -> None:
-    """Open every file that is run, or read by a program, with its SPDX line."""
+    """Every source file begins with its SPDX line."""
     sources = [path for path in text_files(repository) if path.suffix in COMMENTS]
     assert len(sources) > 10
     header = "SPDX-License-Identifier: GPL-3.0-or-later\n"
@@ -35,8 +35,8 @@ def test_every_source_file_names_its_license(repository: Path) -> None:
     assert bare == []
 
 
-def test_no_file_names_a_place_on_one_machine(repository: Path) -> None:
-    """Name no person's folder and no package index, so that a clone works everywhere."""
+def test_no_file_contains_paths_of_one_machine(repository: Path) -> None:
+    """No file names a personal folder or package index, so that a clone works everywhere."""
     found = [
         f"{path.relative_to(repository)}:{number}: {line.strip()}"
         for path in text_files(repository)

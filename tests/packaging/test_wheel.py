@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`pip install .` gives a package that works where there is no checkout."""
+"""`pip install .` installs a package that works without a checkout."""
 
 import json
 import os
@@ -31,7 +31,7 @@ os._exit(0)
 
 
 def sources(repository: Path, target: Path) -> Path:
-    """Copy what git would keep into a folder: building leaves files beside the sources.
+    """Copy the sources to a folder, because a build leaves files beside them.
 
     Returns:
         The folder.
@@ -53,21 +53,21 @@ def wheel(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The wheel built from this repository."""
     folder = tmp_path_factory.mktemp("wheel")
     checkout = sources(repository, folder / "checkout")
-    words = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder)]
-    subprocess.run([sys.executable, "-m", "pip", *words, str(checkout)], check=True)
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder)]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", *options, str(checkout)], check=True)
     (found,) = folder.glob("*.whl")
     return found
 
 
 @dataclass(frozen=True)
 class Installed:
-    """A fresh environment that holds the wheel, and the packages it depends on."""
+    """A new environment with the wheel and its dependencies."""
 
     folder: Path
     """The environment."""
 
     def run(self, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        """Run a program of the environment far from any checkout."""
+        """Run a program of the environment outside any checkout."""
         clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
         return subprocess.run(
             [str(self.folder / "bin" / program), *arguments],
@@ -81,25 +81,25 @@ class Installed:
 
 @pytest.fixture(scope="module")
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
-    """A fresh environment with the wheel.
+    """A new environment with the wheel.
 
-    What it depends on is borrowed from the environment of the tests by a path, which does not
-    carry this repository along: that is found by a hook, and hooks of borrowed folders do not run.
+    It shares the dependencies of the tests' environment through a .pth file. This does not include
+    this repository, which is installed there by an import hook that does not run from a .pth path.
     """
     folder = tmp_path_factory.mktemp("installed")
     venv.create(folder, with_pip=False, symlinks=True)
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     site = folder / "lib" / version / "site-packages"
-    (site / "borrowed.pth").write_text(sysconfig.get_path("platlib") + "\n")
+    (site / "shared.pth").write_text(sysconfig.get_path("platlib") + "\n")
     python = folder / "bin" / "python"
-    words = ["install", "--quiet", "--no-deps", "--no-index", "--ignore-installed", str(wheel)]
-    subprocess.run([str(python), "-m", "pip", *words], check=True)
+    options = ["--quiet", "--no-deps", "--no-index", "--ignore-installed", str(wheel)]
+    subprocess.run([str(python), "-m", "pip", "install", *options], check=True)
     yield Installed(folder)
 
 
-def test_wheel_holds_every_package_and_preset(wheel: Path, repository: Path) -> None:
-    """Find each Python file, preset and type marker of the repository in the wheel."""
-    held = set(zipfile.ZipFile(wheel).namelist())
+def test_wheel_contains_every_package_and_preset(wheel: Path, repository: Path) -> None:
+    """The wheel contains all Python files, presets and the type marker, but no tests."""
+    names = set(zipfile.ZipFile(wheel).namelist())
     expected = {"tactile_clay/__init__.py", "tactile_clay/py.typed"}
     for part in ("clay_addon", "haptics", "solver", "presets"):
         expected |= {
@@ -109,13 +109,13 @@ def test_wheel_holds_every_package_and_preset(wheel: Path, repository: Path) -> 
             and "__pycache__" not in path.parts
             and (path.suffix == ".py" or part == "presets")
         }
-    assert expected <= held
-    assert not {name for name in held if name.startswith("tactile_clay/tests")}
+    assert expected <= names
+    assert not {name for name in names if name.startswith("tactile_clay/tests")}
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the folders of an environment differ")
-def test_installed_command_helps_bakes_and_tells(installed: Installed, tmp_path: Path) -> None:
-    """Show help, bake a second of a scene and tell about it, all from the wheel."""
+def test_installed_command_works(installed: Installed, tmp_path: Path) -> None:
+    """The command of the wheel prints help, bakes a scene and describes it."""
     helped = installed.run("tactile-clay", "--help")
     assert helped.returncode == 0, helped.stderr
     assert "bake" in helped.stdout
@@ -127,7 +127,7 @@ def test_installed_command_helps_bakes_and_tells(installed: Installed, tmp_path:
 
     baked = installed.run("tactile-clay", "bake", str(scene))
     assert baked.returncode == 0, baked.stderr + baked.stdout
-    told = installed.run("tactile-clay", "info", str(scene), "--json")
-    assert told.returncode == 0, told.stderr
-    bake = json.loads(told.stdout)["bake"]
+    info = installed.run("tactile-clay", "info", str(scene), "--json")
+    assert info.returncode == 0, info.stderr
+    bake = json.loads(info.stdout)["bake"]
     assert (bake["frames"], bake["missing"], bake["stale"]) == (24, [], "")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bake on disk: one file a frame, checkpoints to resume from, and what they were made with.
+"""The cache of a bake: metadata, one file per frame, and checkpoints to resume from.
 
 A cache folder holds ``meta.json``, ``colors.npz``, ``frame_000001.npz`` and so on, and
-``checkpoint_000010.npz``. Every file is written under a temporary name in the same folder, flushed
-to the disk and then renamed, so a file is there whole or not at all whenever the process dies.
-Positions are in world space and Blender units, as the viewport shows them.
+``checkpoint_000010.npz`` and so on. Every file is written under a temporary name in the same
+folder, flushed to disk and then renamed, so no file is ever incomplete, even if the process is
+killed. Positions are in world space and Blender units, as the viewport shows them.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .clay_layout import ClayLayout, ClaySlice
-from .foci import FOCI
-from .meta import Meta
-from .whole_files import (
+from .atomic_files import (
     CacheDamagedError,
     CacheError,
     CacheMissingError,
     lock_file,
     read_arrays,
     write_arrays,
-    write_whole,
+    write_atomically,
 )
+from .clay_layout import ClayLayout, ClaySlice
+from .foci import FOCI
+from .meta import Meta
 
 __all__ = [
     "Cache",
@@ -61,13 +61,13 @@ class Frame:
     velocities: NDArray[np.float32]
     """World velocities [Blender units/s], shape [N, 3]."""
     inputs: bytes = b""
-    """Digest of what the colliders did at this frame."""
+    """Digest of the motion of colliders and hands up to this frame."""
 
 
 class Cache:
     """A cache folder.
 
-    Making a `Cache` touches nothing on the disk.
+    The constructor does not access the disk.
 
     Example:
         >>> cache = Cache("clay_cache")
@@ -85,11 +85,11 @@ class Cache:
         return self._meta_path.is_file()
 
     def meta(self) -> Meta:
-        """What the bake was made from.
+        """Read the metadata of the bake.
 
         Raises:
             CacheMissingError: There is no bake in the folder.
-            CacheDamagedError: ``meta.json`` cannot be understood.
+            CacheDamagedError: ``meta.json`` is not valid.
         """
         try:
             text = self._meta_path.read_text(encoding="utf-8")
@@ -100,23 +100,23 @@ class Cache:
         return Meta.from_json(text)
 
     def frames(self) -> list[int]:
-        """Numbers of the frames that have a file, sorted; `read_frame` tells which are whole."""
+        """Sorted numbers of the frames that have a file, valid or not."""
         return self._numbers(_FRAME)
 
     def checkpoints(self) -> list[int]:
-        """Numbers of the frames that have a solver checkpoint, sorted."""
+        """Sorted numbers of the frames that have a solver checkpoint."""
         return self._numbers(_CHECKPOINT)
 
     def read_frame(self, number: int, *, meta: Meta | None = None) -> Frame:
-        """Read one frame, and check that it is whole and belongs to this bake.
+        """Read one frame, and check that it is intact and belongs to this bake.
 
         Args:
             number: Frame number.
-            meta: The bake's `meta`, to save reading it again.
+            meta: Metadata of the bake; read from the folder if omitted.
 
         Raises:
-            CacheMissingError: The frame is not there.
-            CacheDamagedError: The file is truncated, altered or of another bake.
+            CacheMissingError: The frame is missing.
+            CacheDamagedError: The file is truncated, altered or from another bake.
         """
         path = self.frame_path(number)
         arrays = read_arrays(path, ("bake", "frame", "inputs", "positions", "velocities"))
@@ -130,14 +130,14 @@ class Cache:
         return Frame(number, arrays["positions"], arrays["velocities"], arrays["inputs"].tobytes())
 
     def foci_frames(self) -> list[int]:
-        """Numbers of the frames that focal points were recorded with, sorted."""
+        """Sorted numbers of the frames that have recorded focal points."""
         return self._numbers(FOCI)
 
     def read_colors(self) -> NDArray[np.float32]:
-        """Colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
+        """Read the colors of the particles, linear RGBA in 0 to 1, shape [N, 4].
 
         Raises:
-            CacheMissingError: They are not there.
+            CacheMissingError: The file is missing.
             CacheDamagedError: The file is truncated or altered.
         """
         path = self.directory / "colors.npz"
@@ -151,7 +151,7 @@ class Cache:
 
         Raises:
             CacheMissingError: There is no such checkpoint.
-            CacheDamagedError: The file is truncated, altered or of another bake.
+            CacheDamagedError: The file is truncated, altered or from another bake.
         """
         path = self._checkpoint_path(number)
         arrays = read_arrays(path)
@@ -161,10 +161,10 @@ class Cache:
             raise CacheDamagedError(f"{path.name} belongs to another bake")
         return arrays
 
-    def whole_frames(self, start: int, end: int) -> dict[int, Frame]:
-        """The frames from `start` to `end` that can be read, without their particles.
+    def intact_frames(self, start: int, end: int) -> dict[int, Frame]:
+        """The intact frames from `start` to `end`, without their particles, by number.
 
-        Files that are truncated or of another bake count as missing.
+        Files that are truncated or from another bake count as missing.
         """
         meta = self.meta()
         found = {}
@@ -179,27 +179,27 @@ class Cache:
         return found
 
     def size(self) -> int:
-        """Bytes on the disk."""
+        """Size on disk [bytes]."""
         size = 0
         for path in self._own_files():
-            # Another process may be baking: its temporary files come and go.
+            # Temporary files of another process that is baking may disappear.
             with suppress(FileNotFoundError):
                 size += path.stat().st_size
         return size
 
     def frame_path(self, number: int) -> Path:
-        """The file of one frame."""
+        """Path of a frame's file."""
         return self.directory / f"frame_{number:06d}.npz"
 
     # Writing ---------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Make the folder and prove that it can be written to, before any work is done.
+        """Create the folder and check that it is writable, before any work is done.
 
-        Leftovers of a process that was killed while it wrote are removed.
+        Removes temporary files left by a killed process.
 
         Raises:
-            CacheError: The folder cannot be made or written to; the message says why.
+            CacheError: The folder cannot be created or written to; the message says why.
         """
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
@@ -216,10 +216,10 @@ class Cache:
             ) from error
 
     def begin(self, meta: Meta, colors: NDArray[np.floating]) -> None:
-        """Start a bake afresh: remove what an earlier one left and write what this one is.
+        """Start a new bake: remove an earlier one, then write the colors and metadata.
 
         Raises:
-            CacheError: The folder cannot be written to, or its meta.json is of something else.
+            CacheError: The folder cannot be written to, or its meta.json is not from a bake.
         """
         self.prepare()
         self._check_own()
@@ -241,15 +241,15 @@ class Cache:
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
         """
-        write_whole(self._meta_path, lambda file: file.write(meta.to_json().encode()))
+        write_atomically(self._meta_path, lambda file: file.write(meta.to_json().encode()))
 
-    def write_frame(self, frame: Frame, meta: Meta, *, lasting: bool = True) -> None:
+    def write_frame(self, frame: Frame, meta: Meta, *, durable: bool = True) -> None:
         """Write one frame.
 
         Args:
-            frame: What to write.
-            meta: The bake's.
-            lasting: Whether to wait until the disk has it.
+            frame: The frame.
+            meta: Metadata of the bake.
+            durable: Whether to wait until the file is on disk.
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
@@ -263,13 +263,13 @@ class Cache:
                 "positions": np.ascontiguousarray(frame.positions, np.float32),
                 "velocities": np.ascontiguousarray(frame.velocities, np.float32),
             },
-            lasting=lasting,
+            durable=durable,
         )
 
     def write_checkpoint(
         self, number: int, snapshot: Mapping[str, NDArray[Any]], meta: Meta
     ) -> int:
-        """Write the solver's state after one frame, and return its size in bytes.
+        """Write the solver's state after one frame, and return the file size [bytes].
 
         Raises:
             CacheError: The disk is full or the folder cannot be written to.
@@ -280,20 +280,20 @@ class Cache:
         return path.stat().st_size
 
     def free(self) -> int:
-        """Remove the bake and return how many bytes that freed.
+        """Remove the bake and return its size [bytes].
 
-        Only files a cache writes are removed, and the folder if nothing else is in it.
+        Removes only files that a cache writes, and the folder if it is then empty.
 
         Raises:
             CacheError: A file cannot be removed, another process is baking there, or meta.json is
-                of something else.
+                not from a bake.
         """
         self._check_own()
         size = self.size()
         if self._own_files():
             with self.locked():
                 self._remove()
-        # A lock file that cannot be removed does no harm, nor does an empty folder.
+        # A remaining lock file or empty folder does no harm.
         with suppress(OSError):
             (self.directory / _LOCK).unlink(missing_ok=True)
             self.directory.rmdir()
@@ -301,18 +301,20 @@ class Cache:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other processes from writing to the folder; call `prepare` before.
+        """Keep other processes from writing to the folder; call `prepare` first.
 
-        The system takes the lock away with the process, so one that was killed leaves none.
+        The operating system releases the lock when the process ends, even if it is killed.
 
         Raises:
-            CacheError: Another process is baking there, or the lock file cannot be made.
+            CacheError: Another process is baking there, or the lock file cannot be created.
         """
         path = self.directory / _LOCK
         try:
             lock = path.open("a+b")
         except OSError as error:
-            raise CacheError(f"{path} cannot be written ({error.strerror}). Remove it.") from error
+            raise CacheError(
+                f"{path} cannot be written to ({error.strerror}). Remove it."
+            ) from error
         with lock:
             try:
                 lock_file(lock.fileno())
@@ -323,7 +325,7 @@ class Cache:
                 ) from None
             yield
 
-    # Inside ----------------------------------------------------------------------------------
+    # Internal --------------------------------------------------------------------------------
 
     @property
     def _meta_path(self) -> Path:
@@ -352,7 +354,7 @@ class Cache:
         ]
 
     def _check_own(self) -> None:
-        """Refuse a folder whose only sign of a bake is a meta.json that no bake wrote."""
+        """Refuse a folder that contains a foreign meta.json and no files of a bake."""
         try:
             self.meta()
         except CacheMissingError:
@@ -360,14 +362,13 @@ class Cache:
         except CacheDamagedError as error:
             if {path.name for path in self._own_files()} <= {"meta.json", _LOCK}:
                 raise CacheError(
-                    f"{self._meta_path} is not of a bake ({error}). Choose another cache folder, "
-                    "so that it is not lost."
+                    f"{self._meta_path} is not from a bake ({error}) and would be lost. Choose "
+                    "another cache folder."
                 ) from error
 
     def _remove(self) -> None:
-        """Remove all but the lock, which the caller holds."""
-        # The frames go first: while meta.json is there, an interrupted removal still reads as a
-        # bake with missing frames.
+        """Remove all files except the lock, which the caller holds."""
+        # meta.json goes last, so that an interrupted removal leaves a bake with missing frames.
         for path in sorted(self._own_files(), key=lambda path: path.name == "meta.json"):
             if path.name == _LOCK:
                 continue

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which rows of a solver's arrays belong to which clay object."""
+"""Ranges of rows in the solver's arrays that belong to each clay object."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 @dataclass(frozen=True)
 class ClaySlice:
-    """One clay object's part of every frame."""
+    """The consecutive particles of one clay object."""
 
     name: str
-    """The object's name."""
+    """Name of the object."""
     count: int
-    """Number of its particles; the objects follow each other in the order of the list."""
+    """Number of particles."""
 
 
 class ClayLayout(tuple[ClaySlice, ...]):
@@ -40,25 +40,25 @@ class ClayLayout(tuple[ClaySlice, ...]):
 
     @property
     def counts(self) -> list[int]:
-        """Number of particles of each object."""
+        """Particle counts of the objects."""
         return [part.count for part in self]
 
     @property
     def particle_count(self) -> int:
-        """Number of particles of all objects."""
+        """Total number of particles."""
         return sum(self.counts)
 
     def split(self, rows: NDArray[Kind]) -> list[NDArray[Kind]]:
-        """Give each object its rows.
+        """Split an array into the rows of each object.
 
         Args:
-            rows: One row a particle, shape [N, ...].
+            rows: One row per particle, shape [N, ...].
 
         Returns:
             A view of the rows of each object.
 
         Raises:
-            ValueError: There are more or fewer rows than particles.
+            ValueError: The number of rows is not the number of particles.
         """
         if len(rows) != self.particle_count:
             raise ValueError(f"There are {len(rows)} rows for {self.particle_count} particles.")
@@ -66,15 +66,15 @@ class ClayLayout(tuple[ClaySlice, ...]):
         return [rows[end - part.count : end] for part, end in zip(self, ends, strict=True)]
 
     def join(self, parts: Sequence[NDArray[Kind]]) -> NDArray[Kind]:
-        """Put the rows of each object one after another; undoes `split`.
+        """Concatenate the rows of all objects, the inverse of `split`.
 
         Args:
             parts: The rows of each object, in order.
 
         Raises:
-            ValueError: An object has more or fewer rows than particles.
+            ValueError: The number of rows of an object is not its number of particles.
         """
         counts = [len(part) for part in parts]
         if counts != self.counts:
-            raise ValueError(f"The parts have {counts} rows, but the objects {self.counts}.")
+            raise ValueError(f"The parts have {counts} rows, but the objects have {self.counts}.")
         return np.concatenate(parts)

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .atomic_files import CacheDamagedError, read_arrays, write_arrays
 from .meta import Meta
-from .whole_files import CacheDamagedError, read_arrays, write_arrays
 
 FOCI = re.compile(r"foci_(-\d{5,}|\d{6,})\.npz")
-"""Matches the name of such a file."""
+"""Matches the names of these files."""
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,15 @@ class FociFrame:
     number: int
     """Frame number."""
     positions: NDArray[np.float32]
-    """Focal points in the world [Blender units], shape [K, 3]."""
+    """World positions [Blender units], shape [K, 3]."""
     pressures: NDArray[np.float32]
-    """Pressure amplitude at each [Pa], shape [K]."""
+    """Pressure amplitudes [Pa], shape [K]."""
     sigma: float
     """Size of a focal point: the standard deviation of its Gaussian [m]."""
 
 
 def foci_path(directory: Path, number: int) -> Path:
-    """The file of one frame."""
+    """Path of a frame's file."""
     return directory / f"foci_{number:06d}.npz"
 
 
@@ -41,8 +41,8 @@ def write_foci(directory: Path, frame: FociFrame, meta: Meta) -> None:
 
     Args:
         directory: The cache folder.
-        frame: What to write.
-        meta: The bake's.
+        frame: The focal points.
+        meta: Metadata of the bake.
 
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
@@ -64,12 +64,12 @@ def read_foci(directory: Path, number: int, meta: Meta) -> FociFrame:
 
     Args:
         directory: The cache folder.
-        number: Number of the frame.
-        meta: The bake's.
+        number: Frame number.
+        meta: Metadata of the bake.
 
     Raises:
-        CacheMissingError: None were recorded there.
-        CacheDamagedError: The file is truncated, altered or of another bake.
+        CacheMissingError: None were recorded at this frame.
+        CacheDamagedError: The file is truncated, altered or from another bake.
     """
     path = foci_path(directory, number)
     arrays = read_arrays(path, ("bake", "frame", "positions", "pressures", "sigma"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a bake was made from, as its cache keeps it in ``meta.json``."""
+"""Metadata of a bake, stored in ``meta.json`` in its cache folder."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from .atomic_files import CacheDamagedError
 from .clay_layout import ClayLayout, ClaySlice
-from .whole_files import CacheDamagedError
 
 FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True)
 class Meta:
-    """What a bake was made from, as kept in ``meta.json``."""
+    """Metadata of a bake: its range, clay objects and inputs."""
 
     start: int
     """First frame: the rest state."""
     end: int
-    """Last frame that was asked for."""
+    """Last frame of the requested range."""
     frames_per_second: float
-    """Frames in one second of simulated time [1/s]."""
+    """Frames per second of simulated time [1/s]."""
     clay: tuple[ClaySlice, ...]
-    """The clay objects, in the order of the particles."""
+    """Clay objects, in the order of their particles."""
     settings: Mapping[str, str]
-    """A digest for each subject that decides the result, so that a change can be named."""
+    """Digests of the inputs by subject, to tell which of them changed."""
     owner: str = ""
-    """The .blend file and scene the bake belongs to."""
+    """The .blend file and scene that the bake belongs to."""
     version: str = ""
-    """Version of the add-on that made it."""
+    """Version of the add-on that made the bake."""
     statistics: Mapping[str, float] = field(default_factory=dict)
-    """Figures of the last bake, for reports."""
+    """Statistics of the last bake, for reports."""
 
     @property
     def is_take(self) -> bool:
-        """Whether these are the frames of a recorded take: no bake made them."""
+        """Whether the frames were recorded in a live session rather than baked."""
         return "take" in self.settings
 
     @property
     def layout(self) -> ClayLayout:
-        """Which rows of a frame belong to which object."""
+        """Ranges of rows in a frame that belong to each object."""
         return ClayLayout(self.clay)
 
     @property
@@ -54,35 +54,35 @@ class Meta:
 
     @property
     def digest(self) -> bytes:
-        """Sixteen bytes that every frame file of this bake carries."""
+        """Digest, 16 bytes, stored in every frame file of this bake."""
         text = json.dumps(
             [FORMAT_VERSION, self.start, self.particle_count, sorted(self.settings.items())]
         )
         return hashlib.blake2b(text.encode(), digest_size=16).digest()
 
     def to_json(self) -> str:
-        """The text of ``meta.json``."""
+        """Text of ``meta.json``."""
         table = {"format_version": FORMAT_VERSION, "particle_count": self.particle_count}
         table.update(asdict(self))
         return json.dumps(table, indent=2) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> Meta:
-        """Read the text of ``meta.json``.
+        """Parse the text of ``meta.json``.
 
         Raises:
-            CacheDamagedError: The text is not what `to_json` writes.
+            CacheDamagedError: The text is not in the format of `to_json`.
         """
         try:
             table = json.loads(text)
         except (ValueError, RecursionError) as error:
             raise CacheDamagedError(f"meta.json is not valid JSON ({error})") from error
         if not isinstance(table, dict):
-            raise CacheDamagedError("meta.json holds no table")
+            raise CacheDamagedError("meta.json is not a JSON object")
         version = table.get("format_version")
         if version != FORMAT_VERSION:
             raise CacheDamagedError(
-                f"meta.json has format {version!r}, and this version of the add-on reads format "
+                f"meta.json has format {version!r}; this version of the add-on reads format "
                 f"{FORMAT_VERSION}"
             )
         try:
@@ -107,12 +107,12 @@ class Meta:
                 },
             )
         except (KeyError, TypeError, OverflowError) as error:
-            raise CacheDamagedError(f"meta.json lacks or garbles an entry: {error}") from error
-        sane = meta.end >= meta.start and all(part.count > 0 for part in clay)
-        if not sane or not math.isfinite(meta.frames_per_second) or meta.frames_per_second <= 0:
-            raise CacheDamagedError("meta.json has values that make no sense")
+            raise CacheDamagedError(f"meta.json has a missing or invalid entry: {error}") from error
+        valid = meta.end >= meta.start and all(part.count > 0 for part in clay)
+        if not valid or not math.isfinite(meta.frames_per_second) or meta.frames_per_second <= 0:
+            raise CacheDamagedError("meta.json has impossible values")
         if table.get("particle_count") != meta.particle_count:
-            raise CacheDamagedError("meta.json's particle counts disagree")
+            raise CacheDamagedError("meta.json has inconsistent particle counts")
         return meta
 
 

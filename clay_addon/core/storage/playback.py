@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Playing a bake: which of its frames is shown at a frame, and the particles of each object."""
+"""Playback of a bake: the baked frame shown at a scene frame, and the particles of each object."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ class PlayedFrame:
     number: int
     """Number of the baked frame."""
     positions: list[NDArray[np.float32]]
-    """World positions [Blender units], shape [N, 3], of each object."""
+    """World positions of each object [Blender units], shape [N, 3]."""
     velocities: list[NDArray[np.float32]]
-    """World velocities [Blender units/s], shape [N, 3], of each object."""
+    """World velocities of each object [Blender units/s], shape [N, 3]."""
 
 
 def held_frame(number: int, *, first: int, hold: int) -> int:
-    """The frame whose shape is shown at another one, where each shape is held for some frames.
+    """The baked frame shown at a scene frame if each shape is held for several frames.
 
     Args:
-        number: The frame at which it is shown.
-        first: The first frame of the bake.
-        hold: Number of frames that a shape is held.
+        number: The scene frame.
+        first: First frame of the bake.
+        hold: Number of frames each shape is held.
     """
     return first + (number - first) // hold * hold
 
@@ -60,7 +60,7 @@ class Playback:
         self._known: tuple[int, Meta] | None = None
 
     def meta(self) -> Meta:
-        """What the bake was made from; its file is read again only when it has changed.
+        """Metadata of the bake; the file is read again only if it has changed.
 
         Raises:
             CacheError: There is no bake, or its ``meta.json`` is damaged.
@@ -74,7 +74,7 @@ class Playback:
         return self._known[1]
 
     def frames(self) -> list[int]:
-        """Numbers of the baked frames, sorted; empty where there is no bake."""
+        """Sorted numbers of the baked frames; empty if there is no bake."""
         return self.cache.frames()
 
     def frame(self, number: int) -> PlayedFrame:
@@ -85,7 +85,7 @@ class Playback:
 
         Raises:
             CacheMissingError: The frame, or the bake, is missing.
-            CacheDamagedError: It is damaged.
+            CacheDamagedError: A file is damaged.
         """
         meta = self.meta()
         frame = self.cache.read_frame(number, meta=meta)
@@ -94,15 +94,14 @@ class Playback:
 
 
 def shown_frame(frames: list[int], number: int, *, hold: int) -> int:
-    """The baked frame that is shown at a frame.
+    """The baked frame shown at a scene frame, between the first and last baked frame.
 
-    Before the first baked frame that is the first, and after the last the last. It may be missing
-    in the bake.
+    The bake may lack this frame.
 
     Args:
-        frames: Numbers of the baked frames, sorted.
-        number: The frame at which it is shown.
-        hold: Number of frames that a shape is held.
+        frames: Sorted numbers of the baked frames.
+        number: The scene frame.
+        hold: Number of frames each shape is held.
 
     Raises:
         CacheMissingError: There are no frames.

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A take as data, and its files."""
+"""Data and files of a take, the recording of a live session."""

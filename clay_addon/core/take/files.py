@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Takes on disk: what hands and tools did in a live session, step by step.
+"""Files of a take: the motion of hands and tools in a live session, step by step.
 
-A take's folder holds ``take.json``, which says what was recorded; ``take_start.npz``, the clay at
-its start; ``take_tools_000.npz`` and so on, the tools that were in the mouse; and
-``take_000000.npz`` and so on, the steps, some seconds in each file. Every file is written whole or
-not at all, so a take that was cut short can be read up to its last file. The clay's frames lie
-beside them like those of a bake.
+A take's folder holds ``take.json``, the header; ``take_start.npz``, the clay at the start;
+``take_tools_000.npz`` and so on, the tools moved with the mouse; and ``take_000000.npz`` and so on,
+the steps, a few seconds in each file. Files are written atomically, so an interrupted take can be
+read up to its last file. The frames of the clay are in the same folder, in the format of a bake.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..storage.whole_files import (
+from ..storage.atomic_files import (
     CacheDamagedError,
     CacheMissingError,
     read_arrays,
     write_arrays,
-    write_whole,
+    write_atomically,
 )
 from .data import Layout, Steps, Take, TakeHeader, ToolShape, without_undone
 
@@ -42,7 +41,7 @@ def write_header(directory: Path, header: TakeHeader) -> None:
     """
     table = {"take_format": FORMAT_VERSION, **asdict(header)}
     text = json.dumps(table, indent=2) + "\n"
-    write_whole(directory / "take.json", lambda file: file.write(text.encode()))
+    write_atomically(directory / "take.json", lambda file: file.write(text.encode()))
 
 
 def read_header(directory: Path) -> TakeHeader:
@@ -50,7 +49,7 @@ def read_header(directory: Path) -> TakeHeader:
 
     Raises:
         CacheMissingError: There is no take in the folder.
-        CacheDamagedError: The file cannot be understood.
+        CacheDamagedError: The file is not valid, or its version is not supported.
     """
     path = directory / "take.json"
     try:
@@ -58,15 +57,15 @@ def read_header(directory: Path) -> TakeHeader:
         version = table.pop("take_format")
         if version != FORMAT_VERSION:
             raise CacheDamagedError(
-                f"{path} is of version {version!r}; this add-on reads version {FORMAT_VERSION}. "
-                "Update the add-on."
+                f"{path} has format {version!r}; this version of the add-on reads format "
+                f"{FORMAT_VERSION}. Update the add-on."
             )
         clay = tuple((str(name), int(count), float(s)) for name, count, s in table.pop("clay"))
         return TakeHeader(clay=clay, **table)
     except (FileNotFoundError, NotADirectoryError):
         raise CacheMissingError(f"there is no take in {directory}") from None
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-        raise CacheDamagedError(f"{path} cannot be understood ({error})") from error
+        raise CacheDamagedError(f"{path} is damaged ({error})") from error
 
 
 def is_take(directory: Path) -> bool:
@@ -77,7 +76,7 @@ def is_take(directory: Path) -> bool:
 def write_start(
     directory: Path, start: Mapping[str, tuple[NDArray[np.float32], NDArray[np.float32]]]
 ) -> None:
-    """Write the clay that a take begins with, in the order of its header.
+    """Write the clay at the start of a take, in the order of its header.
 
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
@@ -103,7 +102,7 @@ def write_tool(directory: Path, number: int, tool: ToolShape) -> None:
 
 
 def write_steps(directory: Path, number: int, steps: Steps) -> None:
-    """Write some steps to the file with a number.
+    """Write steps to the file with the given number.
 
     Raises:
         CacheError: The disk is full or the folder cannot be written to.
@@ -118,11 +117,11 @@ def write_steps(directory: Path, number: int, steps: Steps) -> None:
 
 
 def read_take(directory: Path, *, unwritten: Mapping[int, Steps] | None = None) -> Take:
-    """Read a take, even one that was cut short.
+    """Read a take, even an interrupted one.
 
     Args:
-        directory: Its folder.
-        unwritten: Steps that are not in the folder, by the number of their file.
+        directory: Folder of the take.
+        unwritten: Steps not yet in the folder, by file number.
 
     Raises:
         CacheMissingError: There is no take in the folder, or nothing was recorded.
@@ -136,7 +135,7 @@ def read_take(directory: Path, *, unwritten: Mapping[int, Steps] | None = None) 
             for number, (name, _, _) in enumerate(header.clay)
         }
     except KeyError as error:
-        raise CacheDamagedError("take_start.npz is of another take") from error
+        raise CacheDamagedError("take_start.npz belongs to another take") from error
     parts = [_read_steps(path) for path in _numbered(directory, _STEPS)]
     while unwritten and len(parts) in unwritten:
         parts.append(unwritten[len(parts)])
@@ -153,7 +152,7 @@ def read_take(directory: Path, *, unwritten: Mapping[int, Steps] | None = None) 
 
 
 def _numbered(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """Files of a take by number, up to the first one that is missing."""
+    """Files of a take in order, up to the first missing number."""
     found = {}
     for path in directory.iterdir():
         if match := pattern.fullmatch(path.name):
@@ -167,8 +166,8 @@ def _numbered(directory: Path, pattern: re.Pattern[str]) -> list[Path]:
 def _read_steps(path: Path) -> Steps:
     arrays = read_arrays(path, (*Steps.ARRAYS, "said"))
     try:
-        said = json.loads(arrays.pop("said").tobytes())
-        table = said["layout"]
+        metadata = json.loads(arrays.pop("said").tobytes())
+        table = metadata["layout"]
         layout = Layout(
             objects=tuple(table["objects"]),
             armatures=tuple((name, tuple(bones)) for name, bones in table["armatures"]),
@@ -181,6 +180,6 @@ def _read_steps(path: Path) -> Steps:
             whole[..., :3, :] = rows
             whole[..., 3, 3] = 1.0
             arrays[name] = whole
-        return Steps(layout, **arrays, events=said["events"])
+        return Steps(layout, **arrays, events=metadata["events"])
     except (ValueError, KeyError, TypeError) as error:
-        raise CacheDamagedError(f"{path.name} cannot be understood ({error})") from error
+        raise CacheDamagedError(f"{path.name} is damaged ({error})") from error

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ...base.app_handlers import add_handlers, remove_handlers
 from ...base.later import later
-from ...core.storage.whole_files import replace_file
+from ...core.storage.atomic_files import replace_file
 from ...model.clay_points import keep_sculpted, replace_points
 from ...model.clay_scene import clay_colors, clay_objects, read_points
 

@@ -208,7 +208,7 @@ class SculptSession:
         with self.budget.measured("feed"):
             self.wheels.advance(context.scene, duration)
             try:
-                self.simulation.follow(context.evaluated_depsgraph_get())
+                self.simulation.update(context.evaluated_depsgraph_get())
             except SimulationError:
                 # A tracked object was deleted or has changed: try to rebuild.
                 self._begin_build(context)

@@ -60,7 +60,7 @@ class SessionTake:
     ) -> None:
         """Record the poses that the solver gets for its next step."""
         if self._recorder is not None:
-            self._recorder.look(depsgraph, poses)
+            self._recorder.capture(depsgraph, poses)
 
     def step(self, duration: float, positions: NDArray[np.float32]) -> None:
         """Record the result of a step: world positions [Blender units], shape [N, 3]."""
@@ -99,7 +99,7 @@ class SessionTake:
         if recorder is None:
             return False
         if scene is None:
-            recorder.leave()
+            recorder.abandon()
             return False
         try:
             stored = recorder.finish(scene)
@@ -107,7 +107,7 @@ class SessionTake:
             self.messages.append(str(error))
             return False
         finally:
-            recorder.end()
+            recorder.close()
         self.messages += stored.warnings
         self.messages.append(f"Take on frames {stored.first} to {stored.last}")
         return True

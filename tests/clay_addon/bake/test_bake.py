@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The bake: its frames, its interruptions, and what it says when the scene has changed."""
+"""Baking, interrupting and resuming, and detection of changes to the scene."""
 
 import os
 import signal
@@ -34,8 +34,8 @@ def frame_bytes(directory: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(directory.glob("frame_*.npz"))}
 
 
-def test_block_falls_as_it_should(studio: Any, tmp_path: Path) -> None:
-    """Hold the rest state at the first frame, and fall by g t²/2 until the table."""
+def test_block_falls_freely(studio: Any, tmp_path: Path) -> None:
+    """The first frame is the rest state; then the block falls by g t²/2 down to the table."""
     clay = studio.falling_block(tmp_path, end=4)
     rest = studio.points(clay)
     result = bake(bpy.context)
@@ -50,15 +50,15 @@ def test_block_falls_as_it_should(studio: Any, tmp_path: Path) -> None:
     assert fallen[:, 2].max() < 0.01 + 2e-4
     np.testing.assert_allclose(fallen[:, :2], 0.0, atol=2e-4)
     middle = rest - cache.read_frame(2).positions
-    # A symplectic step falls half a substep further.
+    # With symplectic Euler steps it falls half a substep further.
     step = 1 / 60 / 32
     expected = 0.5 * 9.81 / 24 * (1 / 24 + step)
     np.testing.assert_allclose(middle[:, 2], expected, rtol=0.02)
     assert 0.5 * 9.81 * seconds**2 > 0.01
 
 
-def test_gravity_of_the_scene_and_frame_rate_decide_the_fall(studio: Any, tmp_path: Path) -> None:
-    """Fall sideways where gravity points, by the time that a frame lasts."""
+def test_fall_follows_gravity_and_frame_rate_of_the_scene(studio: Any, tmp_path: Path) -> None:
+    """Gravity may point sideways, and the frame rate may have a base."""
     clay = studio.clay()
     studio.scene.gravity = (2.0, 0.0, 0.0)
     studio.scene.render.fps = 50
@@ -69,8 +69,8 @@ def test_gravity_of_the_scene_and_frame_rate_decide_the_fall(studio: Any, tmp_pa
     np.testing.assert_allclose(moved.mean(0), (0.5 * 2.0 * 0.1**2, 0, 0), rtol=0.02, atol=1e-5)
 
 
-def test_unit_scale_is_honoured(studio: Any, tmp_path: Path) -> None:
-    """Bake the same motion of a scene modelled in millimeters, a thousand times the numbers."""
+def test_unit_scale_is_respected(studio: Any, tmp_path: Path) -> None:
+    """A scene modeled in millimeters has the same motion as one in meters."""
     studio.clay()
     bake(bpy.context, start=1, end=3, directory=tmp_path / "meters")
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -86,19 +86,19 @@ def test_unit_scale_is_honoured(studio: Any, tmp_path: Path) -> None:
     np.testing.assert_allclose(millimeters, 1000.0 * meters, atol=1e-2)
 
 
-def test_gravity_left_behind_by_the_unit_scale_is_told(studio: Any, tmp_path: Path) -> None:
-    """Say that clay hardly falls where the scene is in millimeters and its gravity is not."""
+def test_gravity_that_ignores_the_unit_scale_is_reported(studio: Any, tmp_path: Path) -> None:
+    """A warning says that clay hardly falls if the scene, but not gravity, is in millimeters."""
     studio.clay()
     assert bake(bpy.context, start=1, end=2, directory=tmp_path).warnings == ()
     studio.scene.unit_settings.scale_length = 0.001
     (warning,) = bake(bpy.context, start=1, end=2, directory=tmp_path).warnings
-    assert "only 0.0098 m/s² at the scene's unit scale of 0.001; the earth's is 9810" in warning
+    assert "only 0.0098 m/s² at the scene's unit scale of 0.001; set it to 9810" in warning
     studio.scene.gravity.z = -9810.0
     assert bake(bpy.context, start=1, end=2, directory=tmp_path).warnings == ()
 
 
 def test_several_clays_keep_their_own_particles(studio: Any, tmp_path: Path) -> None:
-    """Bake all clay of a scene together and give each object its own part, in order of names."""
+    """All clay in a scene is baked together, ordered by name, and each object gets its part."""
     second = studio.clay("B", location=(0.2, 0.0, 0.05))
     first = studio.clay("A", location=(-0.2, 0.0, 0.05), size=0.06)
     studio.save(tmp_path)
@@ -114,12 +114,12 @@ def test_several_clays_keep_their_own_particles(studio: Any, tmp_path: Path) -> 
 
 
 def test_tool_presses_the_clay(studio: Any, tmp_path: Path) -> None:
-    """Let a keyed mesh push clay in front of it."""
+    """An animated mesh pushes the clay in front of it."""
     clay = studio.clay(location=(0.0, 0.0, 0.02))
     studio.table()
     tool = make_collider(studio.block(size=0.04, location=(-0.06, 0.0, 0.03)))
-    for frame, place in ((1, -0.06), (9, 0.02)):
-        tool.location.x = place
+    for frame, x in ((1, -0.06), (9, 0.02)):
+        tool.location.x = x
         tool.keyframe_insert("location", frame=frame)
     studio.save(tmp_path)
     result = bake(bpy.context, end=9)
@@ -128,15 +128,15 @@ def test_tool_presses_the_clay(studio: Any, tmp_path: Path) -> None:
     assert result.quarantined == 0
 
 
-def test_frame_is_put_back_and_progress_told(studio: Any, tmp_path: Path) -> None:
-    """Tell each frame with the time left, and leave the scene at the frame it was."""
+def test_progress_is_reported_and_the_frame_restored(studio: Any, tmp_path: Path) -> None:
+    """Each frame is reported with the remaining time; the current frame is restored."""
     studio.falling_block(tmp_path, end=5)
     studio.scene.frame_set(3, subframe=0.25)
-    told: list[BakeProgress] = []
-    bake(bpy.context, progress=told.append)
-    assert [report.frame for report in told] == [1, 2, 3, 4, 5]
-    assert [report.done for report in told] == [1, 2, 3, 4, 5]
-    assert told[-1].seconds_left == 0.0
+    reports: list[BakeProgress] = []
+    bake(bpy.context, progress=reports.append)
+    assert [report.frame for report in reports] == [1, 2, 3, 4, 5]
+    assert [report.done for report in reports] == [1, 2, 3, 4, 5]
+    assert reports[-1].seconds_left == 0.0
     assert (studio.scene.frame_current, studio.scene.frame_subframe) == (3, 0.25)
 
 
@@ -171,7 +171,7 @@ os._exit(0)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
 def test_bake_killed_three_times_and_resumed_is_the_same(studio: Any, tmp_path: Path) -> None:
-    """Give the same bytes in every frame as a bake without a break."""
+    """Every frame has the same bytes as in an uninterrupted bake."""
     studio.clay(location=(0.0, 0.0, 0.021))
     studio.table()
     tool = make_collider(studio.block(size=0.03, location=(0.0, 0.0, 0.08)))
@@ -201,22 +201,22 @@ def test_bake_killed_three_times_and_resumed_is_the_same(studio: Any, tmp_path: 
 
 
 def test_stopped_bake_resumes_at_the_first_missing_frame(studio: Any, tmp_path: Path) -> None:
-    """Keep what is baked, simulate only the rest, and get the frames of an unbroken bake."""
+    """Only missing frames are simulated, and the frames equal those of an uninterrupted bake."""
     studio.falling_block(tmp_path, end=8)
     bake(bpy.context, directory=tmp_path / "whole")
     first = bake(bpy.context, progress=lambda report: report.frame < 5)
     assert (first.cancelled, first.baked) == (True, 5)
-    told: list[BakeProgress] = []
-    second = bake(bpy.context, resume=True, progress=told.append)
+    reports: list[BakeProgress] = []
+    second = bake(bpy.context, resume=True, progress=reports.append)
     assert (second.cancelled, second.baked, second.kept) == (False, 3, 5)
-    assert [report.frame for report in told] == [6, 7, 8]
+    assert [report.frame for report in reports] == [6, 7, 8]
     assert frame_bytes(tmp_path / "clay_cache") == frame_bytes(tmp_path / "whole")
     third = bake(bpy.context, resume=True)
     assert (third.baked, third.kept) == (0, 8)
 
 
 def test_closing_the_generator_leaves_a_cache_to_resume(studio: Any, tmp_path: Path) -> None:
-    """Put the frame back and keep a checkpoint when the bake is closed from outside."""
+    """Closing the generator restores the current frame and writes a checkpoint."""
     studio.falling_block(tmp_path, end=8)
     steps = bake_steps(bpy.context)
     for _ in range(4):
@@ -229,7 +229,7 @@ def test_closing_the_generator_leaves_a_cache_to_resume(studio: Any, tmp_path: P
 
 
 def test_truncated_frame_is_baked_again(studio: Any, tmp_path: Path) -> None:
-    """Resume over a frame that was cut short in the middle of the range."""
+    """Resume replaces a truncated frame in the middle of the range."""
     studio.falling_block(tmp_path, end=6)
     directory = bake(bpy.context).directory
     whole = frame_bytes(directory)
@@ -240,32 +240,32 @@ def test_truncated_frame_is_baked_again(studio: Any, tmp_path: Path) -> None:
     assert frame_bytes(directory) == whole
 
 
-def test_progress_of_a_gap_ends_at_the_whole(studio: Any, tmp_path: Path) -> None:
-    """Count the frames after a gap as done, and not beyond the total."""
+def test_progress_in_a_gap_ends_at_the_total(studio: Any, tmp_path: Path) -> None:
+    """Frames after a gap count as done."""
     studio.falling_block(tmp_path, end=6)
     Cache(bake(bpy.context).directory).frame_path(3).unlink()
-    told: list[BakeProgress] = []
-    bake(bpy.context, resume=True, progress=told.append)
-    assert [(report.frame, report.done, report.total) for report in told] == [
+    reports: list[BakeProgress] = []
+    bake(bpy.context, resume=True, progress=reports.append)
+    assert [(report.frame, report.done, report.total) for report in reports] == [
         (2, 5, 6),
         (3, 6, 6),
     ]
 
 
 def test_damaged_checkpoint_costs_time_only(studio: Any, tmp_path: Path) -> None:
-    """Start from the rest state where the checkpoint cannot be read."""
+    """If the checkpoint cannot be read, the simulation starts from the rest state."""
     studio.falling_block(tmp_path, end=6)
     bake(bpy.context, directory=tmp_path / "whole")
     directory = bake(bpy.context, progress=lambda report: report.frame < 4).directory
     (directory / "checkpoint_000004.npz").write_bytes(b"garbage")
-    told: list[BakeProgress] = []
-    bake(bpy.context, resume=True, progress=told.append)
-    assert told[0].frame == 2
+    reports: list[BakeProgress] = []
+    bake(bpy.context, resume=True, progress=reports.append)
+    assert reports[0].frame == 2
     assert frame_bytes(directory) == frame_bytes(tmp_path / "whole")
 
 
-def test_longer_range_goes_on_from_the_old_one(studio: Any, tmp_path: Path) -> None:
-    """Extend a finished bake with Resume."""
+def test_resume_extends_a_finished_bake(studio: Any, tmp_path: Path) -> None:
+    """After the range was extended, Resume bakes only the new frames."""
     studio.falling_block(tmp_path, end=4)
     bake(bpy.context)
     studio.scene.frame_end = 6
@@ -314,28 +314,26 @@ def more_substeps(scene: Any) -> None:
         (more_substeps, "solver settings"),
     ],
 )
-def test_stale_bake_is_noticed_and_named(
-    studio: Any, tmp_path: Path, change: Any, subject: str
-) -> None:
-    """Refuse to resume after a change, name what changed, and keep the frames."""
+def test_stale_bake_is_detected(studio: Any, tmp_path: Path, change: Any, subject: str) -> None:
+    """After a change, resuming is refused, the changed subject is named, and frames are kept."""
     studio.falling_block(tmp_path, end=3)
     bake(bpy.context)
     before = frame_bytes(tmp_path / "clay_cache")
     change(studio.scene)
-    with pytest.raises(BakeStaleError, match=f"since then changed: {subject}. Bake again"):
+    with pytest.raises(BakeStaleError, match=f"the scene has changed: {subject}. Bake again"):
         bake(bpy.context, resume=True)
     assert frame_bytes(tmp_path / "clay_cache") == before
     assert bake(bpy.context).baked == 3
 
 
-def test_keyframes_that_changed_since_are_noticed(studio: Any, tmp_path: Path) -> None:
-    """Name the first baked frame at which a collider now does something else."""
+def test_changed_keyframes_are_detected(studio: Any, tmp_path: Path) -> None:
+    """The first baked frame at which the motion of a collider has changed is named."""
     studio.clay()
     tool = make_collider(studio.block(location=(0.5, 0.0, 0.0)))
     for frame in (1, 3, 4, 6):
         tool.location.x = 0.5 + 0.1 * frame
         tool.keyframe_insert("location", frame=frame)
-    # By default a curve is smoothed over its whole length.
+    # By default, a key affects the whole curve.
     for curve in tool.animation_data.action.layers[0].strips[0].channelbags[0].fcurves:
         for key in curve.keyframe_points:
             key.interpolation = "LINEAR"
@@ -349,8 +347,8 @@ def test_keyframes_that_changed_since_are_noticed(studio: Any, tmp_path: Path) -
         bake(bpy.context, end=6, resume=True)
 
 
-def test_start_that_moved_is_stale(studio: Any, tmp_path: Path) -> None:
-    """Refuse to resume a bake that started at another frame."""
+def test_other_start_is_stale(studio: Any, tmp_path: Path) -> None:
+    """A bake cannot be resumed with another first frame."""
     studio.falling_block(tmp_path, end=3)
     bake(bpy.context)
     with pytest.raises(BakeStaleError, match="starts at frame 1, not at 2"):
@@ -358,7 +356,7 @@ def test_start_that_moved_is_stale(studio: Any, tmp_path: Path) -> None:
 
 
 def test_unsaved_file_is_refused(studio: Any) -> None:
-    """Ask to save the .blend first."""
+    """The message asks to save the .blend first."""
     studio.clay()
     with pytest.raises(BakeError, match=r"never saved.*Save the file first"):
         bake(bpy.context)
@@ -367,8 +365,8 @@ def test_unsaved_file_is_refused(studio: Any) -> None:
     assert "never saved" in studio.refused(bpy.ops.clay.free)
 
 
-def test_folder_beside_nothing_known_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Ask for // where a folder is relative to wherever Blender was started."""
+def test_folder_relative_to_the_working_directory_is_refused(studio: Any, tmp_path: Path) -> None:
+    """The message asks for // at the start of a relative folder."""
     studio.falling_block(tmp_path)
     studio.scene.tactile_clay.cache_directory = "cache"
     with pytest.raises(BakeError, match=r"'cache' is relative to nothing\. Begin it with //"):
@@ -376,7 +374,7 @@ def test_folder_beside_nothing_known_is_refused(studio: Any, tmp_path: Path) -> 
 
 
 def test_backward_range_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Say that the range ends before it starts."""
+    """A range that ends before it starts is refused."""
     studio.falling_block(tmp_path)
     with pytest.raises(BakeError, match="ends \\(frame 1\\) before it starts \\(frame 5\\)"):
         bake(bpy.context, start=5, end=1)
@@ -385,7 +383,7 @@ def test_backward_range_is_refused(studio: Any, tmp_path: Path) -> None:
 def test_read_only_folder_is_refused_before_simulating(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Start no solver where nothing can be written."""
+    """The solver does not start if the cache cannot be written."""
     studio.falling_block(tmp_path)
     (tmp_path / "clay_cache").write_text("a file in the way")
     monkeypatch.setattr("tactile_clay.solver.Solver", None, raising=False)
@@ -393,8 +391,8 @@ def test_read_only_folder_is_refused_before_simulating(
         bake(bpy.context)
 
 
-def test_missing_folder_is_made(studio: Any, tmp_path: Path) -> None:
-    """Make the cache folder with its parents."""
+def test_missing_folder_is_created(studio: Any, tmp_path: Path) -> None:
+    """The cache folder is created with its parents."""
     studio.falling_block(tmp_path, end=2)
     studio.scene.tactile_clay.cache_directory = "//deep/down/cache"
     assert bake(bpy.context).directory == tmp_path / "deep/down/cache"
@@ -404,7 +402,7 @@ def test_missing_folder_is_made(studio: Any, tmp_path: Path) -> None:
 def test_full_disk_keeps_the_frames_so_far(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say that the disk is full, and go on from there once there is room."""
+    """A full disk is reported, and the bake can be resumed once there is space."""
     studio.falling_block(tmp_path, end=5)
     bake(bpy.context, directory=tmp_path / "whole")
     real = Cache.write_frame
@@ -427,10 +425,10 @@ def test_full_disk_keeps_the_frames_so_far(
     assert frame_bytes(tmp_path / "clay_cache") == frame_bytes(tmp_path / "whole")
 
 
-def test_error_in_a_step_leaves_no_checkpoint_of_it(
+def test_interrupted_step_leaves_no_checkpoint(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Resume right after a bake that was interrupted in the middle of a step."""
+    """A bake interrupted in the middle of a step can be resumed with the same result."""
     from tactile_clay.clay_addon.simulate.simulation import Simulation
 
     studio.falling_block(tmp_path, end=5)
@@ -453,12 +451,12 @@ def test_error_in_a_step_leaves_no_checkpoint_of_it(
     assert frame_bytes(cache.directory) == frame_bytes(tmp_path / "whole")
 
 
-def test_cache_of_another_file_is_not_baked_over(studio: Any, tmp_path: Path) -> None:
-    """Keep the bake of a file when a copy of it has the same cache folder."""
+def test_cache_of_another_file_is_not_overwritten(studio: Any, tmp_path: Path) -> None:
+    """A copy of a file with the same cache folder does not overwrite its bake."""
     studio.falling_block(tmp_path, end=2)
     bake(bpy.context)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"))
-    with pytest.raises(BakeError, match=r"holds the bake of scene\.blend\. Choose another"):
+    with pytest.raises(BakeError, match=r"holds the bake of scene\.blend.*Choose another"):
         bake(bpy.context)
     with pytest.raises(BakeError, match=r"holds the bake of scene\.blend"):
         free(studio.scene)
@@ -468,7 +466,7 @@ def test_cache_of_another_file_is_not_baked_over(studio: Any, tmp_path: Path) ->
 
 
 def test_operators_bake_resume_and_free(studio: Any, tmp_path: Path) -> None:
-    """Do the same through the buttons, without a window."""
+    """The operators work without a window."""
     clay = studio.falling_block(tmp_path, end=3)
     rest = studio.points(clay)
     assert bpy.ops.clay.bake() == {"FINISHED"}
@@ -484,10 +482,10 @@ def test_operators_bake_resume_and_free(studio: Any, tmp_path: Path) -> None:
 
 
 class Window:
-    """An operator in a window, as far as there can be one here."""
+    """A mock window that runs a bake operator."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.told: list[str] = []
+        self.reports: list[str] = []
         self.context: Any = SimpleNamespace(
             scene=bpy.context.scene,
             preferences=bpy.context.preferences,
@@ -500,7 +498,7 @@ class Window:
         monkeypatch.setattr(modal, "bpy", SimpleNamespace(app=app))
         operator = type("Operator", (bake_operators._BakeOperator,), {})
         self.operator = operator()
-        self.operator.report = lambda kind, text: self.told.append(text)
+        self.operator.report = lambda kind, text: self.reports.append(text)
 
     def press(self, kind: str) -> set[str]:
         """Send an event to the operator."""
@@ -510,7 +508,7 @@ class Window:
 def test_escape_on_a_full_disk_ends_the_bake(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say that the disk is full, and let the next bake start."""
+    """A full disk is reported when the bake is stopped, and another bake can start."""
     studio.falling_block(tmp_path)
     window = Window(monkeypatch)
     assert window.operator.invoke(window.context, None) == {"RUNNING_MODAL"}
@@ -521,8 +519,8 @@ def test_escape_on_a_full_disk_ends_the_bake(
 
     monkeypatch.setattr(os, "fsync", full)
     assert window.press("ESC") == {"CANCELLED"}
-    assert len(window.told) == 1
-    assert "The disk is full" in window.told[0]
+    assert len(window.reports) == 1
+    assert "The disk is full" in window.reports[0]
     assert clay_activity.kind is None
     assert studio.scene.frame_current == 1
 
@@ -530,22 +528,22 @@ def test_escape_on_a_full_disk_ends_the_bake(
 def test_second_bake_in_the_interface_is_refused(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say that a bake runs, and leave it running."""
+    """A second bake is refused while one is running, which continues."""
     studio.falling_block(tmp_path)
     window = Window(monkeypatch)
     assert window.operator.invoke(window.context, None) == {"RUNNING_MODAL"}
     other = Window(monkeypatch)
     assert other.operator.invoke(other.context, None) == {"CANCELLED"}
-    assert other.told == ["A bake is running. Press Esc to stop it first."]
+    assert other.reports == ["A bake is running. Press Esc to stop it first."]
     assert window.press("TIMER") == {"RUNNING_MODAL"}
     assert window.press("ESC") == {"CANCELLED"}
-    assert window.told == ["Stopped. The frames so far are kept; Resume goes on."]
+    assert window.reports == ["Stopped. The frames so far are kept; Resume continues."]
     assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
 
 
 @pytest.mark.parametrize("how", ["delete", "undo"])
-def test_scene_that_changes_under_a_bake_ends_it(studio: Any, tmp_path: Path, how: str) -> None:
-    """Say what happened, keep the frames so far, and go on from them."""
+def test_deletion_and_undo_end_a_running_bake(studio: Any, tmp_path: Path, how: str) -> None:
+    """The message says what happened, and the bake can be resumed from the frames so far."""
     studio.falling_block(tmp_path, end=4)
     bpy.ops.ed.undo_push(message="table")
     studio.table().name = "Other"
@@ -557,7 +555,7 @@ def test_scene_that_changes_under_a_bake_ends_it(studio: Any, tmp_path: Path, ho
     else:
         bpy.ops.ed.undo()
         bpy.ops.ed.redo()
-    with pytest.raises(BakeError, match=r"was deleted, or replaced by Undo.*Resume goes on"):
+    with pytest.raises(BakeError, match=r"was deleted, or replaced by Undo.*Resume continues"):
         next(steps)
     assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
     if how == "undo":
@@ -565,7 +563,7 @@ def test_scene_that_changes_under_a_bake_ends_it(studio: Any, tmp_path: Path, ho
 
 
 def test_add_on_disabled_during_a_bake_bakes_again(studio: Any, tmp_path: Path) -> None:
-    """Forget the bake that Blender ended with the add-on."""
+    """A bake that ended because the add-on was disabled does not block the next one."""
     studio.falling_block(tmp_path, end=2)
     clay_activity.begin(ActivityKind.BAKE)
     activity.unregister()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The demonstration, made short: every file is there and says what it should."""
+"""The files of a shortened demo."""
 
 import json
 import subprocess
@@ -66,10 +66,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.Com
     return output, run(DEMO, *words)
 
 
-def test_everything_is_made_and_said(
+def test_all_files_are_written_and_listed(
     made: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Leave all files, and name each of them in the end."""
+    """All files exist and are named in the output."""
     output, result = made
     assert result.returncode == 0, result.stderr
     for suffix in (".blend", ".stl", ".ply", ".glb", ".png"):
@@ -81,8 +81,8 @@ def test_everything_is_made_and_said(
     assert "Warp" not in result.stdout + result.stderr
 
 
-def test_report_has_the_figures(made: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    """Report particles, frames, device, settings, pace and errors."""
+def test_report_has_statistics(made: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    """The report has particles, frames, device, settings, durations and errors."""
     report = json.loads((made[0] / "report.json").read_text(encoding="utf-8"))
     assert report["particles"] == 2114
     assert report["frames"] == 4
@@ -99,7 +99,7 @@ def test_report_has_the_figures(made: tuple[Path, subprocess.CompletedProcess[st
 def test_exported_meshes_are_closed_and_colored(
     made: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Write the same closed surface in each format, colors where the format has them."""
+    """Each format has the same closed surface, and PLY has its colors."""
     for suffix in demo.EXPORTS:
         mesh = trimesh.load(made[0] / f"kindergarten{suffix}", force="mesh")
         mesh.merge_vertices(merge_norm=True, merge_tex=True)
@@ -112,13 +112,13 @@ def test_exported_meshes_are_closed_and_colored(
 def test_blend_plays_without_the_extension(
     made: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:
-    """Open the .blend where the extension is not registered: clay and hands move."""
+    """Clay and hands move in the .blend without the extension."""
     result = run(PLAYBACK, str(made[0] / "kindergarten.blend"))
     assert "frames 1 4 60 True" in result.stdout, result.stdout + result.stderr
 
 
 def test_sheet_puts_panels_in_reading_order() -> None:
-    """Put the first picture at the top left and the last at the bottom right."""
+    """The first frame is at the top left and the last at the bottom right."""
     panels = [np.full((30, 40, 4), value, np.float32) for value in (0.1, 0.2, 0.3, 0.4)]
     sheet = demo_picture.pairs_sheet(panels)
     assert sheet.shape == (66, 86, 4)
@@ -129,7 +129,7 @@ def test_sheet_puts_panels_in_reading_order() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 4, 6])
 def test_feature_sheet_has_the_last_on_top_and_a_full_row_below(count: int) -> None:
-    """Show the last picture large, and let the others fill the row below it in their order."""
+    """The last frame is large, and the others fill the row below it in order."""
     widths = demo_picture.feature_widths(count, 301)
     panels = [
         np.full((round(0.5 * width), width, 4), 0.1 * (index + 1), np.float32)
@@ -147,8 +147,8 @@ def test_feature_sheet_has_the_last_on_top_and_a_full_row_below(count: int) -> N
 
 
 @pytest.mark.parametrize("name", demo_scenes.SCENES)
-def test_moments_are_in_order_and_within_the_film(name: str) -> None:
-    """Show different frames of the film in their order, and some of however short a film."""
+def test_moments_are_in_order_and_within_the_animation(name: str) -> None:
+    """The frames shown are distinct and in order, and exist in the shortest animation."""
     scene = demo_scenes.SCENES[name]
     moments = demo._moments(scene.moments, 78)
     assert moments == sorted(set(moments)) and moments[-1] <= 78
@@ -157,31 +157,31 @@ def test_moments_are_in_order_and_within_the_film(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", demo_scenes.SCENES)
-def test_every_scene_goes_into_a_folder_of_its_own(name: str) -> None:
-    """Let no scene overwrite another's files where nobody says where they go."""
+def test_every_scene_has_its_own_folder(name: str) -> None:
+    """By default, scenes do not overwrite each other's files."""
     others = {demo.default_output(other) for other in demo_scenes.SCENES if other != name}
     assert demo.default_output(name) not in others
 
 
-@pytest.mark.parametrize("words", [["--frames", "1"], ["--frames", "999"], ["--width", "2"]])
+@pytest.mark.parametrize("options", [["--frames", "1"], ["--frames", "999"], ["--width", "2"]])
 @pytest.mark.parametrize("name", ["kindergarten", "incline"])
-def test_wrong_words_are_refused(
-    words: list[str], name: str, capsys: pytest.CaptureFixture[str]
+def test_invalid_options_are_refused(
+    options: list[str], name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 2 and say what is allowed."""
-    assert demo.main(["--scene", name, *words]) == 2
+    """Invalid options return 2 and print the valid range."""
+    assert demo.main(["--scene", name, *options]) == 2
     assert "must be" in capsys.readouterr().err
 
 
 def test_unknown_scene_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """Return 2 and list the scenes that there are."""
+    """An unknown scene returns 2 and lists the scenes."""
     assert demo.main(["--scene", "moon"]) == 2
-    said = capsys.readouterr().err
-    assert all(name in said for name in ("moon", *demo_scenes.SCENES))
+    message = capsys.readouterr().err
+    assert all(name in message for name in ("moon", *demo_scenes.SCENES))
 
 
-def test_incline_is_made_too(tmp_path: Path) -> None:
-    """Make a scene of several clays with a large picture, named after the scene."""
+def test_incline_is_made(tmp_path: Path) -> None:
+    """A scene with several clay objects and a large frame has files named after it."""
     words = ("--scene", "incline", "--frames", "2", "--width", "64", "--samples", "1")
     result = run(DEMO, *words, "--output", str(tmp_path))
     assert result.returncode == 0, result.stderr
@@ -191,10 +191,10 @@ def test_incline_is_made_too(tmp_path: Path) -> None:
         assert (tmp_path / f"incline{suffix}").stat().st_size > 1000
 
 
-def test_output_that_cannot_be_written_is_said(
+def test_file_in_place_of_the_output_folder_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 1 and name the folder when a file is in its place."""
+    """The command returns 1 and names the folder."""
     (tmp_path / "taken").write_text("")
     assert demo.main(["--output", str(tmp_path / "taken")]) == 1
     assert "taken" in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The job type for Flamenco, run in a JavaScript engine against a stand-in of Flamenco's API."""
+"""The job type for Flamenco, run in a JavaScript engine with a mock of Flamenco's API."""
 
 import json
 from pathlib import Path
@@ -9,10 +9,10 @@ import dukpy
 import pytest
 
 from tactile_clay.clay_addon.command.line import COMMANDS
-from tactile_clay.clay_addon.command.words import make_parser
+from tactile_clay.clay_addon.command.parser import make_parser
 
-# What Flamenco documents for its job compiler scripts, and no more. Two frames in a row are "1,2"
-# in its chunks, three "1-3".
+# Only the documented API for job compiler scripts. In its chunks, two consecutive frames are "1,2",
+# three are "1-3".
 FLAMENCO = """
 var printed = [];
 function print() { printed.push([].slice.call(arguments).join(" ")); }
@@ -71,12 +71,12 @@ SETTINGS = {
 
 @pytest.fixture(scope="module")
 def source(repository: Path) -> str:
-    """The job type's script."""
+    """The script of the job type."""
     return (repository / "presets/farm/clay_bake_render.flamenco.js").read_text("utf-8")
 
 
 def compile_job(source: str, **changes: Any) -> dict[str, Any]:
-    """The job that Flamenco would make of settings."""
+    """The job that Flamenco would create with the given settings."""
     settings = SETTINGS | changes
     result: dict[str, Any] = json.loads(
         dukpy.evaljs([FLAMENCO, source, COMPILE], settings=settings)
@@ -84,55 +84,55 @@ def compile_job(source: str, **changes: Any) -> dict[str, Any]:
     return result
 
 
-def clay_words(task: dict[str, Any]) -> Any:
-    """The words that a task gives to ``-c clay``, as the command line understands them."""
+def clay_arguments(task: dict[str, Any]) -> Any:
+    """The arguments of a task's ``-c clay`` command, parsed."""
     (command,) = task["commands"]
     parameters = command["parameters"]
     assert command["name"] == "blender-render"
     assert (parameters["exe"], parameters["exeArgs"]) == ("{blender}", "{blenderArgs}")
     assert (parameters["argsBefore"], parameters["blendfile"]) == ([], "/farm/shot.blend")
     assert parameters["args"][:2] == ["--command", "clay"]
-    return make_parser("clay", names_file=False, commands=COMMANDS).parse_args(
+    return make_parser("clay", file_argument=False, commands=COMMANDS).parse_args(
         parameters["args"][2:]
     )
 
 
-def test_bake_comes_first_and_the_film_last(source: str) -> None:
-    """Bake, render chunks that wait for the bake, and make a film that waits for all of them."""
+def test_bake_comes_first_and_the_video_last(source: str) -> None:
+    """Chunks depend on the bake, and the video depends on all chunks."""
     job = compile_job(source)
-    bake, *renders, film = job["tasks"]
+    bake, *renders, video = job["tasks"]
     assert (bake["name"], bake["type"], bake["dependencies"]) == ("bake", "blender", [])
     assert len(renders) == 3
     assert all(task["dependencies"] == ["bake"] for task in renders)
-    assert (film["type"], film["dependencies"]) == ("ffmpeg", [task["name"] for task in renders])
+    assert (video["type"], video["dependencies"]) == ("ffmpeg", [task["name"] for task in renders])
     assert job["settings"]["output_path"] == "/farm/out/shot/2026-01-02_030405"
 
 
-def test_tasks_say_what_the_command_line_understands(source: str) -> None:
-    """Bake into a cache, and render each frame once from it, in words of the command line."""
+def test_tasks_are_valid_commands(source: str) -> None:
+    """The bake writes to a cache, from which each frame is rendered once."""
     bake, *renders, _ = compile_job(source)["tasks"]
-    baked = clay_words(bake)
+    baked = clay_arguments(bake)
     folder = "/farm/out/shot/2026-01-02_030405"
     assert (baked.cache, baked.device, baked.resume) == (f"{folder}/clay_cache", "cpu", True)
-    rendered = [clay_words(task) for task in renders]
-    assert [words.frames for words in rendered] == [[1, 2, 3], [4, 5, 6], [7, 8, 20]]
-    for words in rendered:
-        assert (words.cache, words.resume) == (baked.cache, True)
-        assert words.output == f"{folder}/frames/frame_####"
+    rendered = [clay_arguments(task) for task in renders]
+    assert [each.frames for each in rendered] == [[1, 2, 3], [4, 5, 6], [7, 8, 20]]
+    for each in rendered:
+        assert (each.cache, each.resume) == (baked.cache, True)
+        assert each.output == f"{folder}/frames/frame_####"
 
 
-def test_film_is_made_of_the_pictures(source: str) -> None:
-    """Tell FFmpeg the pictures, their rate and where the film goes."""
-    film = compile_job(source)["tasks"][-1]["commands"][0]
+def test_video_is_made_from_the_images(source: str) -> None:
+    """FFmpeg gets the images, their frame rate and the output file."""
+    video = compile_job(source)["tasks"][-1]["commands"][0]
     folder = "/farm/out/shot/2026-01-02_030405"
-    assert film["name"] == "frames-to-video"
-    assert film["parameters"]["inputGlob"] == f"{folder}/frames/frame_*.png"
-    assert film["parameters"]["outputFile"] == f"{folder}/shot.mp4"
-    assert film["parameters"]["fps"] == 24
+    assert video["name"] == "frames-to-video"
+    assert video["parameters"]["inputGlob"] == f"{folder}/frames/frame_*.png"
+    assert video["parameters"]["outputFile"] == f"{folder}/shot.mp4"
+    assert video["parameters"]["fps"] == 24
 
 
-def test_formats_that_do_not_fit_are_told(source: str) -> None:
-    """Make no film of pictures that FFmpeg cannot read, and refuse to render films in chunks."""
+def test_unsuitable_formats_are_reported(source: str) -> None:
+    """There is no video of images that FFmpeg cannot read; video formats are refused."""
     job = compile_job(source, format="OPEN_EXR")
     assert {task["type"] for task in job["tasks"]} == {"blender"}
     assert job["printed"] == ["No film: FFmpeg does not read OPEN_EXR"]
@@ -140,8 +140,8 @@ def test_formats_that_do_not_fit_are_told(source: str) -> None:
         compile_job(source, format="FFMPEG")
 
 
-def test_settings_are_of_the_documented_kinds(source: str) -> None:
-    """Declare settings with the keys and values that Flamenco's API knows."""
+def test_settings_follow_the_documentation(source: str) -> None:
+    """Settings have only keys and values that Flamenco's API supports."""
     read = "JSON.stringify(JOB_TYPE)"
     job_type = json.loads(dukpy.evaljs([FLAMENCO, source, read]))
     known = {

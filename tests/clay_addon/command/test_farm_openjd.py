@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Open Job Description template, run for real by the specification's own program."""
+"""The Open Job Description template, run by openjd-cli, the specification's own program."""
 
 import json
 import signal
@@ -13,8 +13,8 @@ import pytest
 
 from tactile_clay.clay_addon.bake.bake import bake
 
-# Stands for Blender's program: `blender --background FILE --command clay WORD ...`. Where a file
-# `kill_at` lies beside it, the process is killed while it writes that frame.
+# A substitute for `blender --background FILE --command clay COMMAND ...`. If there is a file
+# `kill_at` beside it, the process is killed while it writes the frame named there.
 PROGRAM = """#!{python}
 import os, signal, sys
 from pathlib import Path
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the program is 
 
 
 class Farm:
-    """A machine that runs steps of the template on shots in a folder."""
+    """Runs steps of the template on shots in a folder."""
 
     def __init__(self, template: Path, folder: Path) -> None:
         self.template = template
@@ -50,7 +50,7 @@ class Farm:
         self.program.chmod(0o755)
 
     def start(self, step: str, shot: str, *options: str) -> subprocess.Popen[str]:
-        """Begin a step with those before it, told paths as another machine has them."""
+        """Start a step and its dependencies, with paths mapped from another machine."""
         rule = {
             "source_path_format": "POSIX",
             "source_path": "/projects",
@@ -80,24 +80,24 @@ class Farm:
 
 
 def finish(process: subprocess.Popen[str]) -> str:
-    """Wait for a step, and return what it said."""
-    said, _ = process.communicate(timeout=300)
-    return f"{said}\nexit code {process.returncode}"
+    """Wait for a step, and return its output and exit code."""
+    output, _ = process.communicate(timeout=300)
+    return f"{output}\nexit code {process.returncode}"
 
 
 def frame_bytes(directory: Path) -> dict[str, bytes]:
-    """The bytes of every baked frame, by file name."""
+    """Contents of all baked frames by file name."""
     return {path.name: path.read_bytes() for path in sorted(directory.glob("frame_*.npz"))}
 
 
 @pytest.fixture
 def farm(repository: Path, tmp_path: Path) -> Farm:
-    """A machine with an empty folder."""
+    """A farm with an empty folder."""
     return Farm(repository / "presets/farm/clay_bake_render.openjd.yaml", tmp_path)
 
 
 def make_shot(studio: Any, folder: Path, name: str, *, height: float) -> Path:
-    """Save a shot of a falling block, and return the folder of a bake of it done alone."""
+    """Save a shot of a falling block, bake it on its own, and return the cache folder."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     studio.clay(location=(0.0, 0.0, height))
     studio.table()
@@ -108,16 +108,16 @@ def make_shot(studio: Any, folder: Path, name: str, *, height: float) -> Path:
     return folder / f"{name} alone"
 
 
-def test_shots_baked_at_once_are_as_if_baked_alone(studio: Any, farm: Farm, tmp_path: Path) -> None:
-    """Bake two shots in two processes at the same time, each to the bytes it gives alone."""
+def test_shots_can_be_baked_in_parallel(studio: Any, farm: Farm, tmp_path: Path) -> None:
+    """Two shots baked at the same time have the same bytes as when baked one at a time."""
     alone = {
         "first": make_shot(studio, tmp_path, "first", height=0.022),
         "second": make_shot(studio, tmp_path, "second", height=0.03),
     }
     running = {shot: farm.start("Bake", shot) for shot in alone}
     for shot, process in running.items():
-        said = finish(process)
-        assert "exit code 0" in said, said
+        output = finish(process)
+        assert "exit code 0" in output, output
         frames = frame_bytes(tmp_path / shot / "clay_cache")
         assert len(frames) == 8
         assert frames == frame_bytes(alone[shot])
@@ -127,21 +127,21 @@ def test_shots_baked_at_once_are_as_if_baked_alone(studio: Any, farm: Farm, tmp_
 def test_killed_worker_is_resumed_and_the_shot_rendered(
     studio: Any, farm: Farm, tmp_path: Path
 ) -> None:
-    """Kill the bake while it writes a frame, run the job again, and get the shot as if nothing."""
+    """A bake killed while it writes a frame, and resumed, has the bytes of an uninterrupted one."""
     alone = make_shot(studio, tmp_path, "shot", height=0.022)
     (tmp_path / "kill_at").write_text("frame_000005")
-    said = finish(farm.start("Render", "shot"))
-    assert "exit code 1" in said, said
-    assert f"exited with code: {-signal.SIGKILL}" in said
+    output = finish(farm.start("Render", "shot"))
+    assert "exit code 1" in output, output
+    assert f"exited with code: {-signal.SIGKILL}" in output
     assert sorted(frame_bytes(tmp_path / "shot/clay_cache")) == [
         f"frame_{number:06}.npz" for number in range(1, 5)
     ]
     assert not (tmp_path / "shot/frames").exists()
 
-    said = finish(farm.start("Render", "shot"))
-    assert "exit code 0" in said, said
-    assert "Frames 1 to 8: 4 baked, 4 kept" in said
-    assert said.count("4 frames rendered, 0 kept") == 2
+    output = finish(farm.start("Render", "shot"))
+    assert "exit code 0" in output, output
+    assert "Frames 1 to 8: 4 baked, 4 kept" in output
+    assert output.count("4 frames rendered, 0 kept") == 2
     assert frame_bytes(tmp_path / "shot/clay_cache") == frame_bytes(alone)
     pictures = sorted(path.name for path in (tmp_path / "shot/frames").iterdir())
     assert pictures == [f"frame_{number:04}.png" for number in range(1, 9)]

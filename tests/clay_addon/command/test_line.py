@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command line: what it does, prints and returns."""
+"""The command line: its effects, output and exit codes."""
 
 import json
 import subprocess
@@ -11,7 +11,7 @@ import bpy
 import pytest
 import trimesh
 
-from tactile_clay.clay_addon.command import words as command_words
+from tactile_clay.clay_addon.command import parser as command_parser
 from tactile_clay.clay_addon.command.line import main, main_in_blender
 from tactile_clay.clay_addon.core.storage.cache import Cache
 from tactile_clay.clay_addon.model.collider import make_collider
@@ -19,22 +19,22 @@ from tactile_clay.clay_addon.model.collider import make_collider
 
 @pytest.fixture
 def blend(studio: Any, tmp_path: Path) -> Path:
-    """A saved file with a block of clay over a table, not baked."""
+    """A saved file with a block of clay above a table, not baked."""
     studio.falling_block(tmp_path, end=4)
     return tmp_path / "scene.blend"
 
 
 def test_bake_then_info_then_resume(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Bake a file, tell what is baked, and go on to a later frame."""
+    """A file can be baked, inspected and resumed to a later frame."""
     assert main(["bake", str(blend), "--frames", "1-3"]) == 0
-    said = capfd.readouterr()
-    assert said.out.startswith("Frames 1 to 3: 3 baked, 0 kept")
-    assert "frame 3, 3 of 3, 0 s left" in said.err
+    captured = capfd.readouterr()
+    assert captured.out.startswith("Frames 1 to 3: 3 baked, 0 kept")
+    assert "frame 3, 3 of 3, 0 s left" in captured.err
     assert main(["info", str(blend)]) == 0
-    said = capfd.readouterr()
-    assert "clay      Clay: 64 particles 10 mm apart, plasticine" in said.out
-    assert "collider  Table: plane, friction 0.5" in said.out
-    assert "bake      3 of 3 frames (1 to 3)" in said.out
+    captured = capfd.readouterr()
+    assert "clay      Clay: 64 particles with 10 mm spacing, plasticine" in captured.out
+    assert "collider  Table: plane, friction 0.5" in captured.out
+    assert "bake      3 of 3 frames (1 to 3)" in captured.out
     assert main(["bake", str(blend), "--resume", "--json"]) == 0
     table = json.loads(capfd.readouterr().out)
     assert (table["baked"], table["kept"], table["end"]) == (1, 3, 4)
@@ -45,7 +45,7 @@ def test_bake_then_info_then_resume(blend: Path, capfd: pytest.CaptureFixture[st
 def test_cache_option_is_relative_to_the_shell(
     blend: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Bake into the folder that the shell means, and store it only with --save."""
+    """A relative cache folder is in the working directory, and stored only with --save."""
     (elsewhere := tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(elsewhere)
     assert main(["bake", str(blend), "--cache", "here", "--frames", "1-2"]) == 0
@@ -59,10 +59,10 @@ def test_cache_option_is_relative_to_the_shell(
     assert (properties.use_scene_range, properties.frame_end) == (False, 2)
 
 
-def test_export_writes_the_frame_asked_for(
+def test_export_writes_the_requested_frame(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Write the baked shape at a frame, in meters or millimeters, and tell its figures."""
+    """The baked shape at a frame is written in meters or millimeters, and described."""
     assert main(["bake", str(blend)]) == 0
     lowest = []
     for frame, unit, scale in ((1, "m", 1.0), (4, "mm", 1000.0)):
@@ -80,20 +80,20 @@ def test_export_writes_the_frame_asked_for(
     assert lowest[1] == pytest.approx(0.0, abs=2.5e-3)
 
 
-def test_deliver_writes_files_and_tells_what_they_take(
+def test_deliver_writes_and_describes_files(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Write what is baked as USD beside the .blend; play it there only with --save."""
+    """The bake is written beside the .blend, which plays the files only with --save."""
     assert main(["bake", str(blend)]) == 0
     capfd.readouterr()
     assert main(["deliver", str(blend), "--frames", "1-3", "--json"]) == 0
-    said = capfd.readouterr()
-    table = json.loads(said.out)
+    captured = capfd.readouterr()
+    table = json.loads(captured.out)
     assert (table["start"], table["end"], table["shapes"], table["object_name"]) == (1, 3, 3, "")
     assert table["bytes"] > 3 * table["bytes_per_shape"] * 0.9 > 0
     assert table["seconds_per_shape"] > 0
     assert Path(table["file"]) == tmp_path / "clay_delivery" / "clay.usda"
-    assert "frame 3, 3 of 3" in said.err
+    assert "frame 3, 3 of 3" in captured.err
     output = tmp_path / "alembic"
     options = ["--format", "abc", "--output", str(output), "--save"]
     assert main(["deliver", str(blend), *options]) == 0
@@ -102,13 +102,13 @@ def test_deliver_writes_files_and_tells_what_they_take(
     (cache_file,) = bpy.data.cache_files
     assert cache_file.filepath == "//alembic/frames/clay_000001.abc"
     assert main(["deliver", str(blend), "--output", str(tmp_path)]) == 1
-    assert "other files than a delivery" in capfd.readouterr().err
+    assert "files that are not part of a delivery" in capfd.readouterr().err
 
 
 def test_export_of_a_damaged_frame_is_refused(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Write no other frame's shape in place of one that is not whole."""
+    """A damaged frame is not replaced by the shape of another one."""
     assert main(["bake", str(blend)]) == 0
     Cache(tmp_path / "clay_cache").frame_path(3).write_bytes(b"")
     output = tmp_path / "shape.stl"
@@ -119,41 +119,41 @@ def test_export_of_a_damaged_frame_is_refused(
     assert "Use one of .stl, .3mf, .obj, .ply, .glb" in capfd.readouterr().err
 
 
-def test_a_keyed_pose_is_exported_without_a_bake(
+def test_keyed_pose_is_exported_without_a_bake(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """What is keyed needs no bake, so nothing is missing and there is nothing to warn of."""
+    """A keyed pose needs no bake, so there is no warning."""
     bpy.ops.wm.open_mainfile(filepath=str(blend))
     bpy.ops.clay.pose_key()
     bpy.ops.wm.save_mainfile()
     capfd.readouterr()
     assert main(["export", str(blend), "--output", str(tmp_path / "pose.3mf")]) == 0
-    said = capfd.readouterr()
-    assert "watertight" in said.out
-    assert "warning" not in said.err
+    captured = capfd.readouterr()
+    assert "watertight" in captured.out
+    assert "warning" not in captured.err
 
 
-def test_export_of_a_frame_that_is_not_baked_says_what_it_is(
+def test_export_of_a_frame_that_is_not_baked_warns(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Tell the frame that was written in place of one beyond the bake."""
+    """The warning names the frame written in place of one outside the bake."""
     options = ["--output", str(tmp_path / "shape.stl"), "--json"]
     assert main(["export", str(blend), *options]) == 0
-    said = capfd.readouterr()
-    assert json.loads(said.out)["shown_frame"] is None
-    assert "warning: nothing is baked, so this is the clay as it was made" in said.err
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["shown_frame"] is None
+    assert "warning: nothing is baked; exported the clay without simulation" in captured.err
     assert main(["bake", str(blend)]) == 0
     capfd.readouterr()
     assert main(["export", str(blend), *options, "--frame", "500"]) == 0
-    said = capfd.readouterr()
-    assert json.loads(said.out)["shown_frame"] == 4
-    assert "warning: frame 500 is not baked, so this is frame 4" in said.err
+    captured = capfd.readouterr()
+    assert json.loads(captured.out)["shown_frame"] == 4
+    assert "warning: frame 500 is not baked; exported frame 4" in captured.err
     assert main(["export", str(blend), *options, "--cache", str(tmp_path / "none")]) == 1
     assert f"There is no bake in {tmp_path / 'none'}" in capfd.readouterr().err
 
 
 def test_scene_option_bakes_another_scene(studio: Any, tmp_path: Path) -> None:
-    """Bake the scene that is named, with its own clay and colliders, not the active one."""
+    """The named scene is baked, with its own clay and colliders, not the active one."""
     studio.falling_block(tmp_path)
     first = studio.scene
     bpy.ops.scene.new(type="EMPTY")
@@ -169,12 +169,12 @@ def test_scene_option_bakes_another_scene(studio: Any, tmp_path: Path) -> None:
     assert main(["bake", str(path), *options]) == 0
     meta = Cache(tmp_path / "other").meta()
     assert [(part.name, part.count) for part in meta.clay] == [("Lump", 8)]
-    frames = Cache(tmp_path / "other").whole_frames(1, 3)
+    frames = Cache(tmp_path / "other").intact_frames(1, 3)
     assert len({frame.inputs for frame in frames.values()}) == 3
 
 
 def test_info_of_an_unbaked_file(blend: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Tell the clay, its material and the colliders, and that nothing is baked."""
+    """Clay, material and colliders are listed, with no baked frames."""
     assert main(["info", str(blend), "--json"]) == 0
     table = json.loads(capfd.readouterr().out)
     (clay,) = table["clay"]
@@ -190,21 +190,21 @@ def test_info_of_an_unbaked_file(blend: Path, capfd: pytest.CaptureFixture[str])
 def test_stale_bake_has_its_own_exit_code(
     studio: Any, blend: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 3 from resume and info where the scene has changed since the bake."""
+    """Resume and info return 3 if the scene has changed since the bake."""
     assert main(["bake", str(blend)]) == 0
     studio.scene.objects["Clay"].tactile_clay.density = 999.0
     bpy.ops.wm.save_mainfile()
     capfd.readouterr()
     assert main(["bake", str(blend), "--resume"]) == 3
-    assert "since then changed: materials" in capfd.readouterr().err
+    assert "the scene has changed: materials" in capfd.readouterr().err
     assert main(["info", str(blend)]) == 3
-    assert "stale     since then changed: materials" in capfd.readouterr().out
+    assert "stale     the scene has changed: materials" in capfd.readouterr().out
 
 
 def test_incomplete_bake_has_its_own_exit_code(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 3 from info where a frame is missing or damaged, and name it."""
+    """Info returns 3 if a frame is missing or damaged, and names it."""
     assert main(["bake", str(blend)]) == 0
     Cache(tmp_path / "clay_cache").frame_path(3).write_bytes(b"")
     capfd.readouterr()
@@ -221,8 +221,8 @@ def test_incomplete_bake_has_its_own_exit_code(
         (["bake", "FILE", "--frames", "5"], "not a range such as 1-120"),
         (["bake", "FILE", "--frames", "9-5"], "ends before it starts"),
         (["bake", "FILE", "--device", "toaster"], "invalid choice: 'toaster'"),
-        (["bake", "nowhere.blend"], "There is no file"),
-        (["info", "FILE", "--scene", "Stage"], "no scene 'Stage'. There are: Scene"),
+        (["bake", "nowhere.blend"], "nowhere.blend does not exist"),
+        (["info", "FILE", "--scene", "Stage"], "no scene 'Stage'. The scenes are: Scene"),
         (["export", "FILE"], "required: --output"),
         (["demo", "--scene", "moon"], "invalid choice: 'moon'"),
     ],
@@ -230,15 +230,15 @@ def test_incomplete_bake_has_its_own_exit_code(
 def test_wrong_usage_is_explained(
     blend: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
-    """Return 2 and say what was not understood."""
+    """Invalid commands return 2 and print what is wrong."""
     assert main([str(blend) if word == "FILE" else word for word in arguments]) == 2
     assert words in capfd.readouterr().err
 
 
-def test_file_that_is_no_blend_is_refused(
+def test_invalid_blend_is_refused(
     studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 2 where Blender cannot open the file."""
+    """A file that Blender cannot open returns 2."""
     (tmp_path / "bad.blend").write_text("not a blend")
     assert main(["info", str(tmp_path / "bad.blend")]) == 2
     assert "cannot be opened" in capfd.readouterr().err
@@ -247,7 +247,7 @@ def test_file_that_is_no_blend_is_refused(
 def test_bake_that_cannot_start_says_why(
     studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Return 1 and the reason where there is no clay."""
+    """A bake without clay returns 1 and prints the reason."""
     studio.block()
     path = studio.save(tmp_path)
     assert main(["bake", str(path)]) == 1
@@ -258,12 +258,12 @@ def test_bake_that_cannot_start_says_why(
     ("text", "expected"), [("1-120", (1, 120)), ("-5-3", (-5, 3)), ("-9--2", (-9, -2))]
 )
 def test_frame_ranges_may_be_negative(text: str, expected: tuple[int, int]) -> None:
-    """Read two frame numbers with their signs."""
-    assert command_words.frame_range(text) == expected
+    """Both frame numbers may have a sign."""
+    assert command_parser.frame_range(text) == expected
 
 
-def test_help_tells_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
-    """Return 0 and list commands, options and exit codes."""
+def test_help_lists_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Help returns 0 and lists commands, options and exit codes."""
     assert main(["--help"]) == 0
     text = capsys.readouterr().out
     assert all(word in text for word in ("bake", "export", "info", "demo", "exit codes:"))
@@ -277,7 +277,7 @@ def test_help_tells_the_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
 def test_command_inside_blender_takes_the_open_file(
     blend: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Bake and describe the file that is open, without naming it."""
+    """Inside Blender, commands apply to the open file."""
     assert main_in_blender(["bake", "--frames", "1-2"]) == 0
     assert Cache(tmp_path / "clay_cache").frames() == [1, 2]
     capfd.readouterr()
@@ -286,7 +286,7 @@ def test_command_inside_blender_takes_the_open_file(
 
 
 def test_installed_command_ends_with_its_exit_code(blend: Path) -> None:
-    """Run the console entry in a process of its own, which ends, with clean JSON."""
+    """The console entry point ends its process and prints only JSON to standard output."""
     entry = [sys.executable, "-c", "from tactile_clay.clay_addon.command.line import run; run()"]
     result = subprocess.run(
         [*entry, "bake", str(blend), "--json"], capture_output=True, text=True, timeout=300
@@ -298,7 +298,7 @@ def test_installed_command_ends_with_its_exit_code(blend: Path) -> None:
 
 
 def test_missing_bpy_is_explained() -> None:
-    """Return 1 and name the package where the bpy module is not installed."""
+    """Without the bpy module, commands return 1 and name the package."""
     source = (
         "import sys; sys.modules['bpy'] = None\n"
         "from tactile_clay.clay_addon.command.line import main\n"
@@ -309,8 +309,8 @@ def test_missing_bpy_is_explained() -> None:
     assert "The bpy module is missing" in result.stderr
 
 
-def test_closed_output_is_no_error(blend: Path) -> None:
-    """End quietly when whoever reads the output has gone, as `head` does."""
+def test_closed_output_is_not_an_error(blend: Path) -> None:
+    """The command ends quietly if its output is closed, as by `head`."""
     code = (
         "import sys; from tactile_clay.clay_addon.command.line import run\n"
         f"sys.argv = ['tactile-clay', 'info', {str(blend)!r}]; run()"
@@ -321,6 +321,6 @@ def test_closed_output_is_no_error(blend: Path) -> None:
         assert process.stdout
         assert process.stderr
         process.stdout.close()
-        said = process.stderr.read()
+        captured = process.stderr.read()
     assert process.returncode == 0
-    assert b"Traceback" not in said
+    assert b"Traceback" not in captured

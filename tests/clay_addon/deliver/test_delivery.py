@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Delivery: files that stock Blender plays and renders as the clay was baked."""
+"""Delivery of files that stock Blender plays and renders like the bake."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from tactile_clay.clay_addon.model.clay_points import ABSENT, SCULPTED_MARK
 from tactile_clay.clay_addon.sculpt.live.checks import SculptError, check_free
 
 SPEED = 1.2
-"""Of the moving clay [m/s]: it goes on by more than its own size from frame to frame."""
+"""Speed of the moving clay [m/s]: it moves by more than its size per frame."""
 
 
 def moving_bake(studio: Any, folder: Path, *, end: int = 4) -> dict[int, np.ndarray]:
-    """A bake of clay that moves along x and loses its shape, and its positions by frame."""
+    """Make a bake of clay that moves along x and loses its shape; return positions by frame."""
     studio.falling_block(folder, end=end)
     cache = Cache(bake(bpy.context).directory)
     meta = cache.meta()
@@ -51,7 +51,7 @@ def moving_bake(studio: Any, folder: Path, *, end: int = 4) -> dict[int, np.ndar
 
 
 def expected(positions: np.ndarray) -> dict[str, Any]:
-    """Number of vertices and bounds of the surface of a frame."""
+    """Vertex count, face count and bounds of the surface of a frame."""
     surface = reconstruct(positions, 0.01)
     bounds = [surface.vertices.min(axis=0).tolist(), surface.vertices.max(axis=0).tolist()]
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), "bounds": bounds}
@@ -97,7 +97,7 @@ os._exit(0)
 
 
 def read_back(folder: Path, *, render: bool = False) -> Any:
-    """What a fresh process without the add-on finds in the .blend of a folder."""
+    """Read the .blend of a folder in a new process without the add-on."""
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
     (folder / "read_back.py").write_text(READ_BACK)
     done = subprocess.run(
@@ -116,7 +116,7 @@ def read_back(folder: Path, *, render: bool = False) -> Any:
 
 
 def add_camera(studio: Any) -> None:
-    """Look at the clay of frame 3 from the front, 64 columns to 0.32 m."""
+    """Add a camera in front of the clay at frame 3; 64 columns of pixels show 0.32 m."""
     scene = studio.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
     scene.collection.objects.link(camera)
@@ -133,10 +133,10 @@ def add_camera(studio: Any) -> None:
     scene.render.image_settings.color_mode = "RGBA"
 
 
-def test_usd_plays_and_renders_with_motion_blur_where_the_addon_is_not(
+def test_usd_plays_and_renders_with_motion_blur_without_the_addon(
     studio: Any, tmp_path: Path
 ) -> None:
-    """Each frame has its own topology, place and color, and blurs along its velocity."""
+    """Each frame has its own topology, position and color, and is blurred along its velocity."""
     frames = moving_bake(studio, tmp_path)
     add_camera(studio)
     result = deliver(bpy.context, points=True)
@@ -165,8 +165,8 @@ def test_usd_plays_and_renders_with_motion_blur_where_the_addon_is_not(
     assert blur == pytest.approx(SPEED / 24 / 0.005, abs=2)
 
 
-def test_usd_points_have_their_places(studio: Any, tmp_path: Path) -> None:
-    """The particles are in the files too, and the object that plays them is not rendered."""
+def test_usd_points_have_their_positions(studio: Any, tmp_path: Path) -> None:
+    """The files also contain the particles; the object that plays them is not rendered."""
     frames = moving_bake(studio, tmp_path)
     deliver(bpy.context, points=True)
     cloud = studio.scene.objects["Clay Delivery Points"]
@@ -183,8 +183,8 @@ def test_usd_points_have_their_places(studio: Any, tmp_path: Path) -> None:
     assert "Clay Delivery Points" not in studio.scene.objects
 
 
-def test_alembic_plays_where_the_addon_is_not(studio: Any, tmp_path: Path) -> None:
-    """A sequence of Alembic files shows the same surfaces, and holds its ends."""
+def test_alembic_plays_without_the_addon(studio: Any, tmp_path: Path) -> None:
+    """A sequence of Alembic files shows the same surfaces, and holds the first and last."""
     frames = moving_bake(studio, tmp_path)
     deliver(bpy.context, kind="abc")
     found = read_back(tmp_path)
@@ -199,7 +199,7 @@ def test_alembic_plays_where_the_addon_is_not(studio: Any, tmp_path: Path) -> No
 
 
 def test_held_shapes_are_written_once(studio: Any, tmp_path: Path) -> None:
-    """On twos half the files play as many frames, and nothing moves between."""
+    """Animation on twos has half as many files, and zero velocities."""
     frames = moving_bake(studio, tmp_path)
     studio.scene.tactile_clay.hold_frames = 2
     result = deliver(bpy.context)
@@ -215,7 +215,7 @@ def test_held_shapes_are_written_once(studio: Any, tmp_path: Path) -> None:
 
 
 def test_unit_scale_is_kept(studio: Any, tmp_path: Path) -> None:
-    """In a scene of millimeters the numbers stay as they are and the file says what they mean."""
+    """In a scene in millimeters, the values are unchanged and the file states their unit."""
     studio.scene.unit_settings.scale_length = 0.001
     block = studio.block(size=40.0, location=(0, 0, 30))
     from tactile_clay.clay_addon.clay.make_clay import make_clay
@@ -233,7 +233,7 @@ def test_unit_scale_is_kept(studio: Any, tmp_path: Path) -> None:
 def test_stopping_and_failing_change_nothing(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was delivered before stays whole, and nothing else is left in folder or file."""
+    """The earlier delivery stays intact, and nothing is left in the folder or the .blend."""
     moving_bake(studio, tmp_path)
     deliver(bpy.context)
     folder = tmp_path / "clay_delivery"
@@ -253,8 +253,8 @@ def test_stopping_and_failing_change_nothing(
     assert [len(bpy.data.objects), len(bpy.data.meshes), len(bpy.data.scenes)] == blocks
 
 
-def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_path: Path) -> None:
-    """The same object plays the new files, with a person's modifier and material on it."""
+def test_delivering_again_keeps_changes_to_the_player(studio: Any, tmp_path: Path) -> None:
+    """The same object plays the new files and keeps modifiers that were added to it."""
     moving_bake(studio, tmp_path)
     deliver(bpy.context)
     item = studio.scene.objects["Clay Delivery"]
@@ -272,7 +272,7 @@ def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_pa
     with pytest.raises(SculptError, match="Show Clay Again"):
         check_free(studio.scene)
     (warning,) = bake(bpy.context).warnings
-    assert "'Clay Delivery' still plays what was delivered before" in warning
+    assert "'Clay Delivery' still plays the files delivered before" in warning
     assert remove_delivery(studio.scene)
     check_free(studio.scene)
     assert not studio.scene.objects["Clay"].hide_render
@@ -281,14 +281,14 @@ def test_delivering_again_keeps_what_was_added_to_the_player(studio: Any, tmp_pa
 
 
 def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
-    """No clay, an unsaved file, a folder of other files, a gap in the bake and an odd range."""
+    """Missing clay, unusable folders, impossible ranges, formats and gaps are refused."""
     with pytest.raises(DeliveryError, match="no clay"):
         deliver(bpy.context, directory=tmp_path / "out")
     studio.clay()
     with pytest.raises(DeliveryError, match="never saved"):
         deliver(bpy.context)
     (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(DeliveryError, match="other files than a delivery"):
+    with pytest.raises(DeliveryError, match="files that are not part of a delivery"):
         deliver(bpy.context, directory=tmp_path)
     with pytest.raises(DeliveryError, match=r"ends .* before it starts"):
         deliver(bpy.context, start=4, end=2, directory=tmp_path / "out")
@@ -304,11 +304,11 @@ def test_refusals_say_what_to_do(studio: Any, tmp_path: Path) -> None:
 
 
 def test_sculpted_clay_is_not_delivered_as_its_bake(studio: Any, tmp_path: Path) -> None:
-    """Say so where the clay no longer plays its bake, but deliver what is keyed all the same."""
+    """Clay that no longer plays its bake is refused, unless a pose is keyed."""
     moving_bake(studio, tmp_path)
     clay = studio.scene.objects["Clay"]
     clay.data[SCULPTED_MARK] = True
-    with pytest.raises(DeliveryError, match="sculpted since it was baked"):
+    with pytest.raises(DeliveryError, match="sculpted after it was baked"):
         deliver(bpy.context)
     studio.scene.frame_set(1)
     bpy.ops.clay.pose_key()
@@ -317,8 +317,8 @@ def test_sculpted_clay_is_not_delivered_as_its_bake(studio: Any, tmp_path: Path)
     assert result.shapes == 1
 
 
-def test_particles_that_are_absent_are_left_out(studio: Any, tmp_path: Path) -> None:
-    """Points that stand for clay which is not there yet make neither surface nor particles."""
+def test_absent_particles_are_left_out(studio: Any, tmp_path: Path) -> None:
+    """Points of clay that has not been added yet are neither in the surface nor counted."""
     frames = moving_bake(studio, tmp_path)
     clay = studio.scene.objects["Clay"]
     clay.data.attributes.new(ABSENT, "BOOLEAN", "POINT")
@@ -338,7 +338,7 @@ def test_particles_that_are_absent_are_left_out(studio: Any, tmp_path: Path) -> 
 
 
 class OperatorParts(SteppedOperator[Any, Any]):
-    """What the operator has beside Blender's own class, which only Blender can make."""
+    """The operator without its Blender base class, which only Blender can instantiate."""
 
     stopped_text = delivery_operators.CLAY_OT_deliver.stopped_text
     begin = delivery_operators.CLAY_OT_deliver.begin
@@ -349,12 +349,12 @@ class OperatorParts(SteppedOperator[Any, Any]):
 def test_escape_in_a_window_changes_nothing(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A frame goes at each tick, undo steps in between hold nothing of it, and Esc ends it."""
+    """Each timer event writes a frame and leaves no data-blocks, and Esc stops the delivery."""
     moving_bake(studio, tmp_path)
     names = sorted(path.name for path in tmp_path.iterdir())
-    told: list[str] = []
+    reports: list[str] = []
     operator = type("Operator", (OperatorParts,), {})()
-    operator.report = lambda kind, text: told.append(text)
+    operator.report = lambda kind, text: reports.append(text)
     context: Any = SimpleNamespace(
         scene=studio.scene, window=object(), window_manager=MagicMock(), workspace=MagicMock()
     )
@@ -372,18 +372,18 @@ def test_escape_in_a_window_changes_nothing(
     assert clay_activity.progress.done == 2
     assert len(bpy.data.scenes) == 1
     assert press("ESC") == {"CANCELLED"}
-    assert told == ["Stopped. Nothing was changed."]
+    assert reports == ["Stopped. Nothing was changed."]
     assert clay_activity.kind is None
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert operator.invoke(context, None) == {"RUNNING_MODAL"}
     assert [press("TIMER") for _ in range(4)][-1] == {"FINISHED"}
-    assert "Frames 1 to 4, 4 shapes" in told[-1]
+    assert "Frames 1 to 4, 4 shapes" in reports[-1]
 
 
 def test_operator_reports_size_and_time(
     studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The operator says what a shape takes on the disk and in time, and can be taken back."""
+    """The operator reports the delivery, which can be removed again."""
     assert not bpy.ops.clay.deliver.poll()
     moving_bake(studio, tmp_path, end=2)
     capfd.readouterr()

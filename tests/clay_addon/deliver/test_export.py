@@ -36,7 +36,7 @@ SPACING = 0.005
 
 @pytest.fixture(scope="module")
 def surface() -> Surface:
-    """A colored slab, three times as wide as it is high, whose middle is at (0.2, -0.1, 0.3)."""
+    """A colored slab, three times as wide as high, centered at (0.2, -0.1, 0.3)."""
     axes = [np.arange(count) - (count - 1) / 2 for count in (12, 8, 4)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     colors = np.where(points[:, :1] < 0, RED, BLUE)
@@ -44,13 +44,13 @@ def surface() -> Surface:
 
 
 def srgb(linear: Any) -> np.ndarray:
-    """The sRGB transfer curve, from its definition."""
+    """The sRGB transfer function by its definition."""
     linear = np.asarray(linear, float)
     return np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def read(path: Path) -> trimesh.Trimesh:
-    """Read the one mesh of a file; in meters where the file says its unit."""
+    """Read the single mesh of a file, in meters if the file states its unit."""
     if path.suffix == ".3mf":
         return read_3mf(path)
     loaded = trimesh.load(path)
@@ -60,7 +60,7 @@ def read(path: Path) -> trimesh.Trimesh:
 
 
 def read_3mf(path: Path) -> trimesh.Trimesh:
-    """Read a 3MF by its specification: a mesh in meters, with the colors of its corners."""
+    """Read a 3MF file according to the specification: a mesh in meters, with vertex colors."""
     core = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
     material = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
     with zipfile.ZipFile(path) as archive:
@@ -91,10 +91,10 @@ def read_3mf(path: Path) -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("suffix", export.SUFFIXES)
-def test_file_is_watertight_and_of_the_same_volume(
+def test_file_is_watertight_and_has_the_same_volume(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """Read back, every format is watertight, wound outward and within 0.5 % of the volume."""
+    """Every format is read back watertight, wound outward and within 0.5 % of the volume."""
     path = write_mesh(surface, tmp_path / f"clay{suffix}")
     mesh = read(path)
     assert mesh.is_watertight
@@ -109,14 +109,14 @@ def test_axes_are_those_of_blenders_exporters(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
     """STL, 3MF and PLY keep Z up; OBJ and GLB have Y up."""
-    middle = read(write_mesh(surface, tmp_path / f"clay{suffix}")).bounds.mean(axis=0)
+    center = read(write_mesh(surface, tmp_path / f"clay{suffix}")).bounds.mean(axis=0)
     expected = (0.2, -0.1, 0.3) if suffix in (".stl", ".3mf", ".ply") else (0.2, 0.3, 0.1)
-    np.testing.assert_allclose(middle, expected, atol=1e-3)
+    np.testing.assert_allclose(center, expected, atol=1e-3)
 
 
 @pytest.mark.parametrize("suffix", [".3mf", ".obj", ".ply", ".glb"])
 def test_colors_are_in_the_formats_own_space(suffix: str, surface: Surface, tmp_path: Path) -> None:
-    """3MF, OBJ and PLY hold sRGB, GLB linear colors; both ends of the slab are right to 1 %."""
+    """3MF, OBJ and PLY have sRGB, GLB linear colors, accurate to 1 % at both ends of the slab."""
     mesh = read(write_mesh(surface, tmp_path / f"clay{suffix}"))
     visual = mesh.visual
     stored = visual.vertex_attributes["color"] if suffix == ".glb" else visual.vertex_colors
@@ -158,10 +158,10 @@ def imported(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".glb"])
-def test_blender_imports_the_same_place_and_colors(
+def test_blender_imports_the_same_position_and_colors(
     suffix: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """Blender's importers with default settings bring back place, size and colors."""
+    """Blender's importers with default settings restore position, size and colors."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     vertices, colors = imported(write_mesh(surface, tmp_path / f"clay{suffix}"))
     np.testing.assert_allclose(vertices.min(axis=0), surface.vertices.min(axis=0), atol=1e-5)
@@ -188,16 +188,16 @@ def test_blender_shades_the_surface_smoothly(suffix: str, surface: Surface, tmp_
 
 
 def test_glb_has_unit_normals_everywhere(surface: Surface, tmp_path: Path) -> None:
-    """A vertex without area around it has a normal of length 1 too, as glTF asks for."""
-    lonely = Surface(np.vstack([surface.vertices, [[0.2, -0.1, 0.3]]]), surface.faces)
-    content = write_mesh(lonely, tmp_path / "clay.glb").read_bytes()
+    """Even a vertex without faces has a normal of length 1, as glTF requires."""
+    extended = Surface(np.vstack([surface.vertices, [[0.2, -0.1, 0.3]]]), surface.faces)
+    content = write_mesh(extended, tmp_path / "clay.glb").read_bytes()
     (part,) = load_glb(io.BytesIO(content))["geometry"].values()
-    assert len(part["vertex_normals"]) == len(lonely.vertices)
+    assert len(part["vertex_normals"]) == len(extended.vertices)
     np.testing.assert_allclose(np.linalg.norm(part["vertex_normals"], axis=1), 1, atol=1e-5)
 
 
-def test_glb_is_not_of_metal(surface: Surface, tmp_path: Path) -> None:
-    """Colored or not, a GLB file has a rough material without metal."""
+def test_glb_is_not_metallic(surface: Surface, tmp_path: Path) -> None:
+    """Colored or not, a GLB file has a rough, non-metallic material."""
     for item in (surface, Surface(surface.vertices, surface.faces)):
         material = read(write_mesh(item, tmp_path / "clay.glb")).visual.material
         assert material.metallicFactor == 0
@@ -246,7 +246,7 @@ def test_millimeters_are_a_thousand_times_larger(
 def test_impossible_targets_are_refused(
     name: str, unit: str, message: str, surface: Surface, tmp_path: Path
 ) -> None:
-    """A target that cannot be written is refused before any work, and nothing is left behind."""
+    """A target that cannot be written is refused before any work, and no file is left."""
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(ExportError, match=message):
         check_target(tmp_path / name, unit=unit)
@@ -263,10 +263,10 @@ def test_suffix_may_be_upper_case(surface: Surface, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "message"), [(errno.ENOSPC, "disk is full"), (errno.EACCES, "Choose another folder")]
 )
-def test_failed_write_keeps_the_file_that_was_there(
+def test_failed_write_keeps_the_existing_file(
     code: int, message: str, surface: Surface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where writing fails half-way, the old file stays whole and no other is left."""
+    """If writing fails midway, the old file is intact and no other is left."""
     path = tmp_path / "clay.ply"
     path.write_bytes(b"old")
 
@@ -281,15 +281,15 @@ def test_failed_write_keeps_the_file_that_was_there(
 
 
 def test_clay_too_far_from_the_origin_is_refused(surface: Surface, tmp_path: Path) -> None:
-    """Where single precision would close up triangles, nothing is written."""
+    """If single precision would collapse triangles, nothing is written."""
     far = Surface(surface.vertices + 1e5, surface.faces)
     with pytest.raises(ExportError, match="closer to the origin"):
         write_mesh(far, tmp_path / "clay.stl")
     assert not list(tmp_path.iterdir())
 
 
-def test_numpy_is_all_that_the_formats_need(tmp_path: Path) -> None:
-    """Where scipy, networkx and Pillow are missing, as in Blender, no slow way is taken either."""
+def test_formats_need_only_numpy(tmp_path: Path) -> None:
+    """No format needs scipy, networkx or Pillow, which Blender lacks, or is slow without them."""
     source = f"""
 import logging, os, sys
 sys.modules.update(dict.fromkeys(["scipy", "networkx", "PIL"]))
@@ -303,7 +303,7 @@ faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 surface = Surface(vertices, faces, np.full((4, 4), 0.5, np.float32))
 for suffix in SUFFIXES:
     print(write_mesh(surface, {str(tmp_path)!r} + "/clay" + suffix))
-# Blender's own threads need not be waited for.
+# Do not wait for Blender's own threads.
 sys.stdout.flush()
 os._exit(0)
 """
@@ -319,8 +319,8 @@ os._exit(0)
 # The operator and the scene -----------------------------------------------------------------
 
 
-def test_clay_is_exported_where_it_stands(studio: Any, tmp_path: Path) -> None:
-    """Place, rotation and scale of the object count; the report says what was written."""
+def test_clay_is_exported_in_world_space(studio: Any, tmp_path: Path) -> None:
+    """Location, rotation and scale of the object are applied; the result describes the file."""
     clay = studio.clay(location=(0.0, 0.0, 0.0))
     clay.location = (1.0, 2.0, 3.0)
     clay.rotation_euler = (0.3, 0.2, 0.1)
@@ -338,8 +338,8 @@ def test_clay_is_exported_where_it_stands(studio: Any, tmp_path: Path) -> None:
     assert result["file"] == str(tmp_path / "clay.stl")
 
 
-def test_scene_unit_is_honoured(studio: Any, tmp_path: Path) -> None:
-    """In a scene of centimeters a file in meters is a hundredth as large."""
+def test_scene_unit_is_respected(studio: Any, tmp_path: Path) -> None:
+    """In a scene in centimeters, a file in meters is a hundredth of the size."""
     studio.clay()
     before = export_clay(bpy.context, tmp_path / "clay.stl")["volume"]
     studio.scene.unit_settings.scale_length = 0.01
@@ -348,7 +348,7 @@ def test_scene_unit_is_honoured(studio: Any, tmp_path: Path) -> None:
 
 
 def test_operator_exports_all_or_selected(studio: Any, tmp_path: Path) -> None:
-    """Two pieces of clay go into one file, or only the selected one."""
+    """All clay, or only the selected objects, is exported to one file."""
     studio.clay("First")
     second = studio.clay("Second", location=(0.2, 0.0, 0.03))
     path = tmp_path / "clay.ply"
@@ -361,7 +361,7 @@ def test_operator_exports_all_or_selected(studio: Any, tmp_path: Path) -> None:
     assert mesh.bounds.mean(axis=0)[0] == pytest.approx(0.2, abs=0.002)
 
 
-def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
+def test_operator_reports_errors(studio: Any, tmp_path: Path) -> None:
     """An unknown suffix, an empty selection and particles that are not finite are reported."""
     clay = studio.clay()
     assert ".stl, .3mf, .obj, .ply, .glb" in studio.refused(
@@ -379,7 +379,7 @@ def test_operator_says_what_is_wrong(studio: Any, tmp_path: Path) -> None:
 
 
 def test_operator_needs_clay(studio: Any, tmp_path: Path) -> None:
-    """Without clay the operator is grayed out and the function says so."""
+    """Without clay, the operator is grayed out and the function raises an error."""
     assert not bpy.ops.clay.export.poll()
     with pytest.raises(ExportError, match="no clay"):
         export_clay(bpy.context, tmp_path / "clay.stl")
@@ -388,10 +388,10 @@ def test_operator_needs_clay(studio: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["pysplashsurf", "trimesh"])
-def test_missing_library_is_said(
+def test_missing_library_is_reported(
     name: str, studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a library the export says what to install and writes nothing."""
+    """The message says what to install, and nothing is written."""
     studio.clay()
     monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ExportError, match=f"{name} is missing"):
@@ -399,10 +399,10 @@ def test_missing_library_is_said(
     assert not list(tmp_path.iterdir())
 
 
-def test_operator_warns_where_the_frame_is_not_shown(
+def test_operator_warns_if_the_frame_is_not_shown(
     studio: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Export what is seen, and say that it is not the baked frame."""
+    """The shape shown is exported, with a warning that it is not the baked frame."""
     studio.falling_block(tmp_path, end=2)
     cache = Cache(bake(bpy.context).directory)
     cache.frame_path(2).write_bytes(b"")
@@ -412,10 +412,10 @@ def test_operator_warns_where_the_frame_is_not_shown(
     assert "Warning: Frame 2: frame_000002.npz is damaged" in capfd.readouterr().out
 
 
-def test_file_system_that_takes_no_file_is_said(
+def test_read_only_file_system_is_reported(
     surface: Surface, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say so also where the system refuses to remove what could not be written."""
+    """The error is reported even if the temporary file cannot be removed."""
 
     def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
@@ -455,9 +455,9 @@ os._exit(0)
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows tells no peak of memory this way")
-def test_memory_stays_in_proportion(tmp_path: Path) -> None:
-    """All formats with the checks take less than 5 kB a particle at their peak, colors random."""
+@pytest.mark.skipif(sys.platform == "win32", reason="needs the resource module")
+def test_memory_is_proportional_to_particles(tmp_path: Path) -> None:
+    """Export to all formats with checks and random colors peaks below 5 kB per particle."""
     result = subprocess.run(
         [sys.executable, "-c", MEMORY, str(tmp_path)], capture_output=True, text=True, check=False
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Checks for printing: crossings, thin walls, and a base that is flat."""
+"""Checks for 3D printing: self-intersections, thin walls, and a flat base."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tactile_clay.clay_addon.deliver.print_checks import base_area, check_print,
 
 
 def as_surface(mesh: trimesh.Trimesh) -> Surface:
-    """The same as a surface."""
+    """Convert a mesh to a surface."""
     return Surface(np.array(mesh.vertices), np.array(mesh.faces).astype(np.int64))
 
 
 def shell(outer: float, inner: float) -> Surface:
-    """A hollow ball of two spheres about one middle far from the origin."""
+    """A hollow ball of two concentric spheres, far from the origin."""
     parts = [trimesh.creation.icosphere(subdivisions=4, radius=radius) for radius in (outer, inner)]
     parts[1].invert()
     surface = as_surface(trimesh.util.concatenate(parts))
@@ -30,7 +30,7 @@ def shell(outer: float, inner: float) -> Surface:
 
 
 def test_thickness_of_a_shell_is_measured() -> None:
-    """A hollow ball's wall comes out to 2 %, and all of it is too thin or none."""
+    """The wall of a hollow ball is measured to 2 %, and is too thin everywhere or nowhere."""
     hollow = shell(0.03, 0.028)
     thick = check_print(hollow, wall=0.0015)
     thin = check_print(hollow, wall=0.0025)
@@ -40,17 +40,17 @@ def test_thickness_of_a_shell_is_measured() -> None:
     assert thin.thin_share == pytest.approx(1.0)
 
 
-def test_edges_are_no_thin_walls() -> None:
-    """A block's walls are its shortest side, though rays near its edges are short."""
+def test_edges_are_not_thin_walls() -> None:
+    """The thinnest wall of a block is its shortest side, though rays near edges are short."""
     block = as_surface(trimesh.creation.box((0.05, 0.04, 0.01)).subdivide_to_size(0.002))
-    found = check_print(block, wall=0.009)
-    assert found.thinnest_wall == pytest.approx(0.01, rel=0.01)
-    assert found.thin_share == 0
+    report = check_print(block, wall=0.009)
+    assert report.thinnest_wall == pytest.approx(0.01, rel=0.01)
+    assert report.thin_share == 0
     assert check_print(block, wall=0.011).thin_share == pytest.approx(4000 / 5800, abs=0.02)
 
 
 def test_crossings_are_counted() -> None:
-    """Two balls run into each other cross along a circle; apart, or just closed, they do not."""
+    """Two overlapping balls intersect along a circle; separate balls do not."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
     other = ball.copy()
     other.apply_translation((0.021, 0.003, 0.001))
@@ -62,8 +62,8 @@ def test_crossings_are_counted() -> None:
 
 
 @pytest.mark.parametrize("offset", [0.0, 100.0])
-def test_base_is_flat_and_the_rest_is_kept(offset: float) -> None:
-    """A ball loses its cap: closed, of the right volume, standing on a disc, colors in place."""
+def test_base_is_flat_and_the_rest_is_unchanged(offset: float) -> None:
+    """A ball without its cap is closed, has the right volume, base area and colors."""
     radius, depth = 0.03, 0.004
     ball = as_surface(trimesh.creation.icosphere(subdivisions=5, radius=radius))
     colors = np.zeros((len(ball.vertices), 4), np.float32)
@@ -81,7 +81,7 @@ def test_base_is_flat_and_the_rest_is_kept(offset: float) -> None:
 
 
 def test_base_beyond_the_clay_is_refused() -> None:
-    """Nothing would be left."""
+    """A base that removes all of the clay is refused."""
     ball = as_surface(trimesh.creation.icosphere(radius=0.03))
     for depth in (0.06, 1.0, -0.1):
         with pytest.raises(SurfaceError, match=r"0\.06 high"):
@@ -89,7 +89,7 @@ def test_base_beyond_the_clay_is_refused() -> None:
 
 
 def test_ordinary_clay_has_no_crossings() -> None:
-    """A block, a ball and a slab two particles thick have surfaces that cross nowhere."""
+    """A block, a ball and a slab two particles thick do not self-intersect."""
     grid = np.stack(np.meshgrid(*[np.arange(14) - 6.5] * 3, indexing="ij"), -1).reshape(-1, 3)
     for points in (
         grid[np.abs(grid).max(1) < 5],
@@ -97,28 +97,28 @@ def test_ordinary_clay_has_no_crossings() -> None:
         grid[np.abs(grid[:, 2]) < 1],
     ):
         points = points + np.random.default_rng(0).normal(0, 0.05, points.shape)
-        found = check_print(reconstruct(points, 1.0), wall=1.0)
-        assert found.crossings == 0
-        assert found.thin_share < 1e-3
+        report = check_print(reconstruct(points, 1.0), wall=1.0)
+        assert report.crossings == 0
+        assert report.thin_share < 1e-3
 
 
-def test_a_notch_that_crosses_itself_is_untangled() -> None:
-    """Two balls that touch meet in a notch without crossings, closed and of the same volume."""
+def test_self_intersecting_notch_is_untangled() -> None:
+    """Two touching balls lose their intersections, stay closed and keep their volume."""
     grid = np.stack(np.meshgrid(*[np.arange(13) - 6.0] * 3, indexing="ij"), -1).reshape(-1, 3)
     ball = grid[np.linalg.norm(grid, axis=1) < 5]
     ball += np.random.default_rng(1).normal(0, 0.03, ball.shape)
     touching = reconstruct(np.concatenate([ball, ball + np.array([9.8, 0, 0])]), 1.0)
     assert check_print(touching, wall=0).crossings > 0
-    freed = untangle(touching)
-    freed.check()
-    assert check_print(freed, wall=0).crossings == 0
-    assert freed.volume == pytest.approx(touching.volume, rel=1e-3)
-    assert np.linalg.norm(freed.vertices - touching.vertices, axis=1).max() < 0.5
-    assert untangle(freed) is freed
+    untangled = untangle(touching)
+    untangled.check()
+    assert check_print(untangled, wall=0).crossings == 0
+    assert untangled.volume == pytest.approx(touching.volume, rel=1e-3)
+    assert np.linalg.norm(untangled.vertices - touching.vertices, axis=1).max() < 0.5
+    assert untangle(untangled) is untangled
 
 
 def test_export_measures_in_real_millimeters(studio: Any, tmp_path: Any) -> None:
-    """Whatever the scene's unit, a block of 40 mm is 40 mm in the file, and thin clay is told."""
+    """A block of 40 mm is 40 mm in the file in any scene unit; thin walls cause a warning."""
     studio.scene.unit_settings.scale_length = 0.01
     make_clay(bpy.context, [studio.block(size=4.0, location=(0, 0, 2))], spacing=0.5)
     table = export_clay(bpy.context, tmp_path / "clay.stl", unit="auto")

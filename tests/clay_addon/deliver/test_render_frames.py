@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rendering of baked frames, in parts, whole or not at all."""
+"""Rendering of baked frames in parts, atomically."""
 
 import shutil
 from pathlib import Path
@@ -22,7 +22,7 @@ from tactile_clay.clay_addon.deliver.render_frames import (
 
 @pytest.fixture
 def shot(studio: Any, tmp_path: Path) -> Path:
-    """A saved file with a block that falls on a table before a camera, baked from 1 to 6."""
+    """A saved file with a block falling onto a table, a camera, and a bake of frames 1 to 6."""
     studio.falling_block(tmp_path)
     studio.camera()
     bake(bpy.context)
@@ -30,7 +30,7 @@ def shot(studio: Any, tmp_path: Path) -> Path:
 
 
 def pixels(path: Path) -> Any:
-    """The values of a picture."""
+    """Pixel values of an image."""
     image = bpy.data.images.load(str(path))
     values = np.array(image.pixels[:])
     bpy.data.images.remove(image)
@@ -38,15 +38,15 @@ def pixels(path: Path) -> Any:
 
 
 def test_frames_are_rendered_in_parts(shot: Path, studio: Any, tmp_path: Path) -> None:
-    """Render some frames, then the others, and leave the scene's settings as they were."""
+    """Frames can be rendered in parts; the scene's settings are restored."""
     render = studio.scene.render
     before = (render.filepath, studio.scene.frame_current, studio.scene.frame_end)
-    told: list[RenderProgress] = []
+    reports: list[RenderProgress] = []
     pattern = tmp_path / "pictures" / "a_###"
-    first = render_frames(bpy.context, [1, 6], output=pattern, progress=told.append)
+    first = render_frames(bpy.context, [1, 6], output=pattern, progress=reports.append)
     assert (first.rendered, first.kept) == (2, 0)
     assert [path.name for path in first.files] == ["a_001.png", "a_006.png"]
-    assert [(report.frame, report.done, report.total) for report in told] == [(1, 1, 2), (6, 2, 2)]
+    assert [(each.frame, each.done, each.total) for each in reports] == [(1, 1, 2), (6, 2, 2)]
     picture = first.files[0].read_bytes()
     second = render_frames(bpy.context, [1, 2, 6], output=pattern, resume=True)
     assert (second.rendered, second.kept) == (1, 2)
@@ -64,7 +64,7 @@ def test_frames_are_rendered_in_parts(shot: Path, studio: Any, tmp_path: Path) -
 def test_frame_that_is_not_baked_is_refused_before_anything_is_rendered(
     shot: Path, tmp_path: Path
 ) -> None:
-    """Name the missing frames, also one inside the bake, and write no picture."""
+    """Missing frames are named, even inside the bake, and no image is written."""
     (tmp_path / "clay_cache" / "frame_000003.npz").unlink()
     with pytest.raises(FrameNotBakedError, match=r"frame 3, 7\. "):
         render_frames(bpy.context, [1, 2, 3, 7], output=tmp_path / "out" / "####")
@@ -72,20 +72,20 @@ def test_frame_that_is_not_baked_is_refused_before_anything_is_rendered(
 
 
 def test_damaged_frame_is_not_rendered(shot: Path, tmp_path: Path) -> None:
-    """Stop at a frame whose file is damaged, and keep the pictures before it."""
+    """Rendering stops at a damaged frame and keeps the images before it."""
     Cache(tmp_path / "clay_cache").frame_path(2).write_bytes(b"PK")
     with pytest.raises(FrameNotBakedError, match=r"Frame 2: .* damaged"):
         render_frames(bpy.context, [1, 2], output=tmp_path / "out" / "####")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["0001.png"]
 
 
-def test_what_cannot_be_rendered_is_said(shot: Path, studio: Any, tmp_path: Path) -> None:
-    """Refuse films, a scene without a camera and a folder that is a file, each in words."""
+def test_obstacles_to_rendering_are_reported(shot: Path, studio: Any, tmp_path: Path) -> None:
+    """Videos, a scene without a camera and a file in place of a folder are refused."""
     settings = studio.scene.render.image_settings
     if hasattr(settings, "media_type"):
         settings.media_type = "VIDEO"
     settings.file_format = "FFMPEG"
-    with pytest.raises(RenderError, match="is a film"):
+    with pytest.raises(RenderError, match="is a video"):
         render_frames(bpy.context, [1])
     if hasattr(settings, "media_type"):
         settings.media_type = "IMAGE"
@@ -99,10 +99,10 @@ def test_what_cannot_be_rendered_is_said(shot: Path, studio: Any, tmp_path: Path
         render_frames(bpy.context, [1], output=tmp_path / "####")
 
 
-def test_picture_is_there_whole_or_not_at_all(
+def test_images_are_written_atomically(
     shot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Keep the old picture and leave no part of the new when writing fails in the middle."""
+    """If writing fails midway, the old image is kept and no part of the new one is left."""
     (path,) = render_frames(bpy.context, [1], output=tmp_path / "out" / "####").files
     path.write_bytes(b"old")
 
@@ -120,24 +120,24 @@ def test_picture_is_there_whole_or_not_at_all(
 def test_command_renders_from_a_cache_elsewhere(
     shot: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Render a list of frames from the cache that is named, and tell each picture."""
+    """The command renders a list of frames from another cache, and prints each image."""
     (tmp_path / "clay_cache").rename(tmp_path / "elsewhere")
     options = ["--frames=1-2,4", "--output", str(tmp_path / "out" / "f_####")]
     assert main(["render", str(shot), *options]) == 3
     assert "Nothing is baked in" in capfd.readouterr().err
     assert main(["render", str(shot), *options, "--cache", str(tmp_path / "elsewhere")]) == 0
-    said = capfd.readouterr()
-    assert said.out.startswith("3 frames rendered, 0 kept.\nPictures: ")
+    captured = capfd.readouterr()
+    assert captured.out.startswith("3 frames rendered, 0 kept.\nImages: ")
     for number in (1, 2, 4):
-        assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in said.err
+        assert f"\nSaved: '{tmp_path / 'out' / f'f_{number:04}.png'}'\n" in captured.err
     assert main(["render", str(shot), "--frames", "1;2"]) == 2
     assert "'1;2' is not a range such as 1-120" in capfd.readouterr().err
 
 
-def test_what_needs_no_bake_is_rendered_without_one(
+def test_frames_that_need_no_bake_are_rendered_without_one(
     shot: Path, studio: Any, tmp_path: Path
 ) -> None:
-    """Frames with a keyed pose, held shapes and a delivery need no baked frame of their own."""
+    """Keyed poses, held shapes and deliveries need no baked frame of the same number."""
     studio.scene.tactile_clay.hold_frames = 2
     (tmp_path / "clay_cache" / "frame_000002.npz").unlink()
     held = render_frames(bpy.context, [1, 2], output=tmp_path / "held" / "####")

@@ -206,7 +206,7 @@ def test_other_scene_chosen_meanwhile_is_refused(studio: Any) -> None:
     make_collider(studio.block(location=(0.0, 0.0, 0.5)))
     simulation = Simulation(bpy.context)
     bpy.ops.scene.new(type="NEW")
-    with pytest.raises(SimulationError, match=r"Another scene was chosen while 'Scene' was"):
+    with pytest.raises(SimulationError, match=r"active scene was changed during .* 'Scene'"):
         simulation.feed(bpy.context.evaluated_depsgraph_get())
 
 
@@ -367,7 +367,7 @@ def test_keyframes_lift_a_tool_off_the_clay_and_set_it_on(studio: Any) -> None:
 
 
 def test_plane_that_does_not_touch_the_clay_is_refused(studio: Any) -> None:
-    """Say that an endless plane always touches, and what to do instead."""
+    """An infinite plane cannot be disabled; the message says what to do instead."""
     studio.clay()
     studio.table().tactile_clay.collider_enabled = False
     simulation = Simulation(bpy.context)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scenes made elsewhere: colliders that stock Blender animates in every way, in any unit."""
+"""Scenes made without the add-on: colliders animated in various ways by stock Blender."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ scene.gravity = (0, 0, -9.81 * u)
 scene.frame_start, scene.frame_end = 1, 13
 
 def box(name, x, y, z, sx, sy, sz):
-    "A box by its middle and sides [m], in a mesh about its own middle."
+    "Add a box by its center and side lengths [m]."
     corners = [(a * sx * u, b * sy * u, c * sz * u)
                for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)]
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -52,7 +52,7 @@ for number in range(4):
     box(f"Block {number}", 0.2 * number, 0.02, 0.025, 0.04, 0.04, 0.04)
 box("Table", 0.3, 0.0, -0.01, 1.0, 0.4, 0.02).scale = (1.0, 1.0, 1.0)
 
-# Parented to an empty that is keyed, turned and scaled unevenly.
+# Parented to an empty that is keyed, rotated and scaled unevenly.
 empty = bpy.data.objects.new("Handle", None)
 scene.collection.objects.link(empty)
 empty.scale, empty.rotation_euler = (2.0, 1.0, 0.5), (0, 0, 3.14159265)
@@ -74,7 +74,7 @@ bent.modifiers.new("Armature", "ARMATURE").object = armature
 pose = armature.pose.bones["Push"]
 key(pose, "location", (0.0, 0.0, 0.0), (0.0, 0.02 * u, 0.0))
 
-# Reaching out by a shape key.
+# Extended by a shape key.
 shaped = box("Shaped", 0.4, -0.011, 0.03, 0.06, 0.02, 0.06)
 shaped.shape_key_add(name="Basis")
 reach = shaped.shape_key_add(name="Reach")
@@ -85,7 +85,7 @@ for frame, value in ((1, 0.0), (13, 1.0)):
     reach.value = value
     reach.keyframe_insert("value", frame=frame)
 
-# Growing by its scale, which is uneven and keyed.
+# Grown by its scale, which is uneven and keyed.
 grown = box("Grown", 0.6, -0.011, 0.03, 0.03, 0.01, 0.12)
 key(grown, "scale", (2.0, 2.0, 0.5), (2.0, 6.0, 0.5))
 
@@ -97,7 +97,7 @@ os._exit(0)
 
 
 def baked(folder: Path, scale: float, system: str) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Open a scene that stock Blender built, make clay in it, and bake.
+    """Open a scene built by stock Blender, make clay in it, and bake.
 
     Returns:
         The scene, and the particles at its first and last frame [m], shape [4, N, 3].
@@ -126,10 +126,10 @@ def baked(folder: Path, scale: float, system: str) -> tuple[Any, np.ndarray, np.
 @pytest.mark.parametrize(
     ("scale", "system"), [(1.0, "METRIC"), (0.001, "METRIC"), (0.3048, "IMPERIAL")]
 )
-def test_every_animated_collider_pushes_its_clay(
+def test_every_kind_of_animated_collider_pushes_its_clay(
     studio: Any, tmp_path: Path, scale: float, system: str
 ) -> None:
-    """Parents, armatures, shape keys and scale move the clay in front of them, in any unit."""
+    """Colliders moved by parents, armatures, shape keys or scale push the clay, in any unit."""
     scene, first, last = baked(tmp_path / "scene", scale, system)
     scene.frame_set(13)
     depsgraph = bpy.context.evaluated_depsgraph_get()
@@ -138,10 +138,10 @@ def test_every_animated_collider_pushes_its_clay(
         vertices, _ = evaluated_mesh(tool, depsgraph)
         front = transform(tool.evaluated_get(depsgraph).matrix_world, vertices)[:, 1].max() * scale
         assert front == pytest.approx(0.019, abs=1e-4), name
-        # The face went 20 mm on, 19 mm of them through where clay was.
+        # The face moved 20 mm; the clay was in its way for most of them.
         assert first[number][:, 1].min() == pytest.approx(0.005, abs=1e-4)
         assert last[number][:, 1].min() > front, name
         assert (last[number] - first[number])[:, 1].max() > 0.01, name
-        # It stands on the table, and nothing pushed it aside.
+        # The clay still lies on the table, and did not move sideways.
         assert abs((last[number] - first[number])[:, 0].mean()) < 0.001
         assert last[number][:, 2].min() > 0.002

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hands in a bake: what they do to the clay, what they feel, and what a bake says of them."""
+"""Hands in a bake: their effect on the clay, the recorded touch, and messages about them."""
 
 from math import radians
 from pathlib import Path
@@ -28,7 +28,7 @@ LAST = 8
 
 @pytest.fixture(scope="module")
 def pressing_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where a scene is kept, to bind its hand only once."""
+    """Path of a shared scene, whose hand is bound only once."""
     return tmp_path_factory.mktemp("pressing") / "scene.blend"
 
 
@@ -54,14 +54,14 @@ def hand(studio: Any, pressing_file: Path, tmp_path: Path) -> Any:
 
 
 def index_tip(item: Any, frame: int) -> np.ndarray:
-    """Where the tip of the index finger is at a frame."""
+    """World position of the tip of the index finger at a frame."""
     bpy.context.scene.frame_set(frame)
     bone = item.parent.pose.bones["index_tip"]
     return np.array((item.parent.matrix_world @ bone.matrix).translation)
 
 
 def key(item: Any, path: str, values: dict[int, float]) -> None:
-    """Key a property, held from each key to the next."""
+    """Key a property with constant interpolation."""
     owner, _, name = path.rpartition(".")
     target = item.path_resolve(owner) if owner else item
     for frame in values:
@@ -83,17 +83,18 @@ def add_array(studio: Any) -> Any:
 
 
 def test_finger_dents_the_clay_and_feels_it(studio: Any, hand: Any) -> None:
-    """Push the clay out of the finger's way, and keep focal points on the pad that pressed."""
+    """The finger displaces clay, and focal points are recorded on its pad."""
     add_array(studio)
     result = bake(bpy.context)
     assert (result.baked, result.quarantined, result.warnings) == (LAST, 0, ())
     cache = Cache(result.directory)
     before, after = (cache.read_frame(frame).positions for frame in (1, LAST))
     tip = index_tip(hand, LAST)
-    way = np.linalg.norm(after - before, axis=1)
-    assert way.max() > 0.01
-    # What lies on the table is held by it.
-    assert np.median(way[before[:, 2] < 0.01]) < 0.4 * np.median(way[before[:, 2] > 0.03])
+    displacement = np.linalg.norm(after - before, axis=1)
+    assert displacement.max() > 0.01
+    # Friction holds the lowest clay on the table.
+    low, high = displacement[before[:, 2] < 0.01], displacement[before[:, 2] > 0.03]
+    assert np.median(low) < 0.4 * np.median(high)
     # A fingertip is at least 6 mm thick.
     assert np.linalg.norm(after - tip, axis=1).min() > 0.005
     assert np.linalg.norm(before - tip, axis=1).min() < 0.01
@@ -118,7 +119,7 @@ def test_finger_dents_the_clay_and_feels_it(studio: Any, hand: Any) -> None:
 def test_bad_pose_is_dropped_and_the_last_good_one_held(
     studio: Any, hand: Any, tmp_path: Path, path: str, bad: float
 ) -> None:
-    """Bake through frames with a mirrored or lost bone, tell of them, and resume from there."""
+    """Frames with a mirrored or invalid bone are baked, reported, and can be resumed from."""
     good = 1.0 if bad < 0.0 else 0.0
     key(hand.parent, path, {1: good, 4: bad, 6: good})
     whole = bake(bpy.context, directory=tmp_path / "whole")
@@ -137,14 +138,14 @@ def test_bad_pose_is_dropped_and_the_last_good_one_held(
 
 
 def test_bad_pose_at_the_start_is_refused(studio: Any, hand: Any) -> None:
-    """Start no bake from a pose that cannot be."""
+    """A bake does not start from an impossible pose."""
     hand.parent.pose.bones["index_distal"].scale.x = -1.0
     with pytest.raises(BakeError, match="'Right hand' cannot start from its pose at frame 1: "):
         bake(bpy.context)
 
 
 def test_stopped_bake_resumes_to_the_same(studio: Any, hand: Any, tmp_path: Path) -> None:
-    """Give the bytes of an unbroken bake, record touch on both sides of the break, and go on."""
+    """A resumed bake has the bytes of an uninterrupted one, and touch recorded at all frames."""
     bake(bpy.context, directory=tmp_path / "whole")
     add_array(studio)
     first = bake(bpy.context, progress=lambda report: report.frame < 6)
@@ -156,11 +157,11 @@ def test_stopped_bake_resumes_to_the_same(studio: Any, hand: Any, tmp_path: Path
 
 
 def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
-    """Name the frame at which the pose differs, the hand where it does, and what is unbound."""
+    """Changes of a hand's friction, motion and mesh are reported."""
     end = 3
     bake(bpy.context, end=end)
     hand.tactile_clay.collider_friction = 0.9
-    with pytest.raises(BakeStaleError, match=r"since then changed: hands\. Bake again"):
+    with pytest.raises(BakeStaleError, match=r"the scene has changed: hands\. Bake again"):
         bake(bpy.context, end=end, resume=True)
     hand.tactile_clay.collider_friction = 0.5
     assert bake(bpy.context, end=end, resume=True).kept == end
@@ -183,8 +184,8 @@ def test_change_of_a_hand_makes_the_bake_stale(studio: Any, hand: Any) -> None:
     assert "mesh has changed" in scene_status(bpy.context)["hands"][0]["problem"]
 
 
-def test_hand_that_is_lost_touches_nothing(studio: Any, hand: Any, tmp_path: Path) -> None:
-    """Leave the clay alone while the tracker does not see the hand, whatever its bones do."""
+def test_untracked_hand_touches_nothing(studio: Any, hand: Any, tmp_path: Path) -> None:
+    """A hand that the tracker does not see has no effect, however its bones move."""
     hand.parent[CONTACT_PROPERTY] = 1.0
     key(hand.parent, f'["{CONTACT_PROPERTY}"]', {1: 1.0, 2: 0.0})
     lost = Cache(bake(bpy.context, directory=tmp_path / "lost").directory)
@@ -195,8 +196,8 @@ def test_hand_that_is_lost_touches_nothing(studio: Any, hand: Any, tmp_path: Pat
     )
 
 
-def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
-    """Dent clay that is modelled in centimeters as in meters, and feel it at the same place."""
+def test_unit_scale_is_respected(studio: Any, hand: Any, tmp_path: Path) -> None:
+    """A scene in centimeters gives the same dent and touch as one in meters."""
     add_array(studio)
     meters = Cache(bake(bpy.context, directory=tmp_path / "meters").directory)
     for item in studio.scene.objects:
@@ -229,7 +230,7 @@ def test_unit_scale_is_honoured(studio: Any, hand: Any, tmp_path: Path) -> None:
 
 
 def test_hand_switched_off_ends_the_bake(studio: Any, hand: Any) -> None:
-    """Say what is off and where, keep the frames, and let touch replay again."""
+    """The hand and frame are named, the frames are kept, and touch replays again."""
 
     def switch_off(report: BakeProgress) -> None:
         hand.hide_viewport = report.frame == 2
@@ -240,8 +241,8 @@ def test_hand_switched_off_ends_the_bake(studio: Any, hand: Any) -> None:
     assert not touch_record.replay.paused
 
 
-def test_what_keeps_touch_from_being_recorded_is_told(studio: Any, hand: Any) -> None:
-    """Bake all the same with an array that is scaled, or a hand whose fingers have no names."""
+def test_obstacle_to_recording_touch_is_reported(studio: Any, hand: Any) -> None:
+    """A scaled array, or a hand whose fingers have no names, does not prevent a bake."""
     array = add_array(studio)
     array.scale = (2.0, 2.0, 2.0)
     result = bake(bpy.context, end=2)
@@ -260,8 +261,8 @@ def test_what_keeps_touch_from_being_recorded_is_told(studio: Any, hand: Any) ->
     assert Cache(result.directory).foci_frames() == [1, 2]
 
 
-def test_hand_is_known_wherever_roles_are(studio: Any, hand: Any) -> None:
-    """Refuse a hand as a collider, and say of a hand bound for other clay that it was."""
+def test_hand_has_a_role_of_its_own(studio: Any, hand: Any) -> None:
+    """A hand cannot become a collider; one bound for other clay, or not bound, is reported."""
     with pytest.raises(ColliderError, match=r"'Right hand' is a clay hand.*Remove Clay Hand first"):
         make_collider(hand)
     assert hand.tactile_clay.role == "HAND"

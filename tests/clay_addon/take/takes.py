@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A plain loop in place of a live session, and the gestures that tests record."""
+"""A simple loop in place of a live session, and the gesture that tests record."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tactile_clay.clay_addon.model.collider import make_collider
 from tactile_clay.clay_addon.sculpt.live.edits import edit_clay
 from tactile_clay.clay_addon.simulate.simulation import Simulation
 from tactile_clay.clay_addon.take.recorder import TakeRecorder
-from tactile_clay.clay_addon.take.store import Stored
+from tactile_clay.clay_addon.take.store import StoredTake
 from tactile_clay.tests.experiments.shapes import ball
 
 STEP = 1.0 / 60.0
@@ -30,7 +30,7 @@ TOP = 0.04
 
 
 class Loop:
-    """Steps a scene as a session does, and records it."""
+    """Steps and records a scene as a live session does."""
 
     def __init__(self, scene: Any) -> None:
         self.scene = scene
@@ -38,13 +38,13 @@ class Loop:
         self.simulation.start(bpy.context.evaluated_depsgraph_get(), "cpu")
         self.recorder = TakeRecorder.begin(scene, self.simulation)
         self.shapes = [self.simulation.positions()]
-        """The clay after each step."""
+        """World positions of the clay after each step."""
 
     def step(self, *, tools: Any = (), duration: float = STEP) -> NDArray[np.float32]:
-        """Do one step, of what the scene is posed for."""
+        """Do one step to the current pose of the scene."""
         depsgraph = bpy.context.evaluated_depsgraph_get()
-        self.simulation.follow(depsgraph)
-        self.recorder.look(depsgraph, tools)
+        self.simulation.update(depsgraph)
+        self.recorder.capture(depsgraph, tools)
         assert self.simulation.solver is not None
         self.simulation.solver.step(duration)
         self.shapes.append(self.simulation.positions())
@@ -52,7 +52,7 @@ class Loop:
         return self.shapes[-1]
 
     def edit(self, *edits: Edit) -> None:
-        """Add, take away or paint clay, as a session does between two steps."""
+        """Add, remove or paint clay, as a session does between two steps."""
         self.show()
         clay = [self.scene.objects[part.name] for part in self.simulation.parts]
         edit_clay(bpy.context, clay, edits)
@@ -68,7 +68,7 @@ class Loop:
         self.recorder.rebuilt(self.simulation)
 
     def show(self) -> None:
-        """Write the clay into Blender and keep it, as after a stroke."""
+        """Write the clay to Blender and store it, as after a stroke."""
         first = 0
         for part in self.simulation.parts:
             item = self.scene.objects[part.name]
@@ -77,8 +77,8 @@ class Loop:
             keep_sculpted(item)
             first += part.count
 
-    def finish(self) -> Stored:
-        """End it."""
+    def finish(self) -> StoredTake:
+        """End the session and its take."""
         self.show()
         return self.recorder.finish(self.scene)
 
@@ -86,7 +86,7 @@ class Loop:
 def studio_scene(
     studio: Any, folder: Path, *, rate: int, spacing: float = 0.005
 ) -> tuple[Any, Any]:
-    """A block of clay on a table, and a ball above it.
+    """Make a block of clay on a table, and a ball above it.
 
     Returns:
         The clay and the ball.
@@ -108,7 +108,7 @@ def studio_scene(
 
 
 def press(time: float) -> Matrix:
-    """A ball's way: down into the block, in an arc through it, turning, and up again."""
+    """Pose of the ball: down into the block, in an arc through it, rotating, and up again."""
     down = min(time / 0.2, 1.0)
     arc = 4.0 * min(max(time - 0.2, 0.0), 0.3)
     up = max(time - 0.5, 0.0) / 0.1
@@ -121,12 +121,12 @@ def press(time: float) -> Matrix:
 
 
 def pressed(time: float) -> bool:
-    """Whether the clay feels the ball: it is lifted off at last."""
+    """Whether the ball touches the clay, which it does until it is lifted off."""
     return time < 0.55
 
 
 def record_press(loop: Loop, item: Any, seconds: float) -> None:
-    """Move the ball and step."""
+    """Record the gesture of the ball."""
     for number in range(1, round(seconds / STEP) + 1):
         item.matrix_world = press(number * STEP)
         item.tactile_clay.collider_enabled = pressed(number * STEP)

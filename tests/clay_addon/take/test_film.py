@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Baking takes again: the same gesture gives the same clay, and finer clay the same dent."""
+"""Baking takes again, with the same or finer clay."""
 
 import json
 from pathlib import Path
@@ -34,7 +34,7 @@ LEAP = Path(__file__).resolve().parents[4] / "shared" / "data" / "leap" / "grab.
 
 
 def baked(film: Any, **options: Any) -> tuple[Any, NDArray[np.float32]]:
-    """Bake a film; the result, and the clay at its last frame."""
+    """Bake a film, and return the result and the positions at its last frame."""
     with bpy.context.temp_override(scene=film, view_layer=film.view_layers[0]):
         bpy.context.window.scene = film
         result = bake(bpy.context, **options)
@@ -42,7 +42,7 @@ def baked(film: Any, **options: Any) -> tuple[Any, NDArray[np.float32]]:
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> Any:
-    """The table that a command printed, after what Blender says."""
+    """The JSON that a command printed, after Blender's own output."""
     text = capsys.readouterr().out
     return json.loads(text[text.index("{") :])
 
@@ -57,7 +57,7 @@ def heights(points: NDArray[np.floating], spacing: float) -> NDArray[np.float64]
 
 
 def test_live_spacing_gives_the_live_clay(studio: Any, tmp_path: Path) -> None:
-    """Do the same to the same clay, to the bit where frames are steps."""
+    """At the live spacing, with a frame for each step, the film has the live clay."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.6)
@@ -69,7 +69,7 @@ def test_live_spacing_gives_the_live_clay(studio: Any, tmp_path: Path) -> None:
 
 
 def test_frames_between_steps_give_nearly_the_live_clay(studio: Any, tmp_path: Path) -> None:
-    """Follow the gesture between frames at 24 of them a second."""
+    """At 24 frames per second, the film samples the gesture between frames."""
     _, item = studio_scene(studio, tmp_path, rate=24)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.6)
@@ -79,7 +79,7 @@ def test_frames_between_steps_give_nearly_the_live_clay(studio: Any, tmp_path: P
     _, last = baked(film)
     error = np.linalg.norm(last - loop.shapes[-1], axis=1)
     assert np.sqrt((error**2).mean()) < 0.1 * 0.005
-    # What was baked between frames is resumed only where it is the same.
+    # A bake with other motion samples cannot be resumed.
     assert bake(bpy.context, resume=True).baked == 0
     film.tactile_clay.motion_samples = 1
     with pytest.raises(BakeStaleError, match="frame rate"):
@@ -87,7 +87,7 @@ def test_frames_between_steps_give_nearly_the_live_clay(studio: Any, tmp_path: P
 
 
 def test_half_the_spacing_gives_the_same_dent(studio: Any, tmp_path: Path) -> None:
-    """Press as deep and as much clay away, to what the live spacing can show."""
+    """The dent is as deep and large, within the resolution of the live spacing."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.6)
@@ -108,7 +108,7 @@ def test_half_the_spacing_gives_the_same_dent(studio: Any, tmp_path: Path) -> No
 
 
 def _record_edits(studio: Any, folder: Path) -> Loop:
-    """A heap is added, a corner taken away, and a face painted red, with steps between."""
+    """Record a take in which a heap is added, a corner removed, and a face painted red."""
     studio_scene(studio, folder, rate=60)
     loop = Loop(studio.scene)
     for edits in (
@@ -125,13 +125,13 @@ def _record_edits(studio: Any, folder: Path) -> Loop:
     return loop
 
 
-def _unlike(points: NDArray[np.float32]) -> NDArray[np.int64]:
-    """The first of each particles that are at the same place."""
+def _distinct(points: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Index of the first particle at each distinct position."""
     return np.sort(np.unique(points, axis=0, return_index=True)[1])
 
 
 def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
-    """Add, take away and paint the same, also where the bake was stopped and goes on."""
+    """The film repeats adding, removing and painting, even if its bake is stopped and resumed."""
     loop = _record_edits(studio, tmp_path)
     live = loop.shapes[-1]
     film = make_film(bpy.context, spacing=0.005)
@@ -139,13 +139,13 @@ def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
     room = len(fine.data.points) - len(loop.shapes[0])
     assert 0 < room < 300
     result, last = baked(film)
-    there = _unlike(last)
+    there = _distinct(last)
     assert len(there) == len(live)
     np.testing.assert_allclose(
         np.sort(last[there], axis=0), np.sort(live, axis=0), atol=0.05 * 0.005
     )
     first = Cache(result.directory).read_frame(1).positions
-    assert len(_unlike(first)) == len(loop.shapes[0])
+    assert len(_distinct(first)) == len(loop.shapes[0])
     colors = clay_colors(fine)
     red = colors[there, 1] < 0.1
     assert red.sum() == (loop.simulation.colors[:, 1] < 0.1).sum() > 5
@@ -164,7 +164,7 @@ def test_edits_are_made_again(studio: Any, tmp_path: Path) -> None:
 
 
 def test_finer_clay_is_edited_as_much(studio: Any, tmp_path: Path) -> None:
-    """Add and take away what the edits' spheres hold, at half the spacing."""
+    """At half the spacing, edits add and remove the volume of their spheres."""
     loop = _record_edits(studio, tmp_path)
     film = make_film(bpy.context)
     result, last = baked(film)
@@ -176,13 +176,13 @@ def test_finer_clay_is_edited_as_much(studio: Any, tmp_path: Path) -> None:
     whole = TOP**3 + added - 4 / 3 * np.pi * 0.013**3 / 8
     errors = [
         len(loop.shapes[-1]) * 0.005**3 / whole - 1,
-        len(_unlike(last)) * 0.0025**3 / whole - 1,
+        len(_distinct(last)) * 0.0025**3 / whole - 1,
     ]
     assert abs(errors[1]) < 0.02 and abs(errors[1]) < abs(errors[0])
 
 
-def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
-    """Share what is shown with the first scene, and work other clay with other tools."""
+def test_film_is_separate_from_the_scene(studio: Any, tmp_path: Path) -> None:
+    """The film shares other objects with the original scene, but has its own clay and tools."""
     clay, item = studio_scene(studio, tmp_path, rate=60)
     scene = studio.scene
     props = bpy.data.collections.new("Props")
@@ -204,7 +204,7 @@ def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
     assert fine.tactile_clay.yield_stress == 1234.0
     assert fine.tactile_clay.spacing == pytest.approx(0.0025)
     assert clay.name not in film.objects and clay.name in scene.objects
-    # Of a collection that holds no more than the clay nothing is left there.
+    # The film has no copy of a collection that contains only clay.
     assert {each.name for each in film.collection.children} == {"Props.001", "Film"}
     assert {each.name for each in scene.collection.children} == {"Props", "Only Clay"}
     assert fine.name not in scene.objects
@@ -212,7 +212,7 @@ def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
     copy = next(each for each in collider_objects(film) if each.name.startswith("Ball"))
     assert copy != item and copy.animation_data.action == item.animation_data.action
     assert item.name not in film.objects
-    # Again with another spacing: the same scene, other clay.
+    # Another spacing replaces the clay in the same scene.
     again = make_film(bpy.context, spacing=0.004, substeps=6)
     assert again == film and len(bpy.data.scenes) == 2
     (finer,) = clay_objects(film)
@@ -220,14 +220,14 @@ def test_film_stands_beside_the_scene(studio: Any, tmp_path: Path) -> None:
     assert len([each for each in film.objects if each.name.startswith("Ball")]) == 1
     assert film.tactile_clay.substeps == 6
     assert lamp.name in film.objects
-    # From the film itself, too.
+    # The film may also be the active scene.
     bpy.context.window.scene = film
     assert make_film(bpy.context) == film
     assert film.tactile_clay.cache_directory == "//clay_cache_film"
 
 
-def test_operator_bakes_again_and_says_what_is_missing(studio: Any, tmp_path: Path) -> None:
-    """Go to the film and bake it; refuse without a take, and an edit of the future."""
+def test_operator_bakes_the_film(studio: Any, tmp_path: Path) -> None:
+    """Bake Again activates and bakes the film; it needs a take without unknown edits."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     with pytest.raises(RuntimeError, match="There is no take in the scene 'Scene'"):
         bpy.ops.clay.bake_again()
@@ -245,8 +245,8 @@ def test_operator_bakes_again_and_says_what_is_missing(studio: Any, tmp_path: Pa
     assert len(Cache(tmp_path / "clay_cache_take_001").frames()) == 7
 
 
-def test_take_is_not_baked_over(studio: Any, tmp_path: Path) -> None:
-    """Refuse to bake into a take's folder, to free it, and call no take stale."""
+def test_take_is_not_overwritten(studio: Any, tmp_path: Path) -> None:
+    """A take's folder cannot be baked into or freed, and is never stale."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.1)
@@ -263,7 +263,7 @@ def test_take_is_not_baked_over(studio: Any, tmp_path: Path) -> None:
 def test_take_is_baked_again_from_the_command_line(
     studio: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Make the film's scene, bake it and save it; resume there; say what does not fit."""
+    """The command makes, bakes and saves the film, and can resume it."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.1)
@@ -284,8 +284,8 @@ def test_take_is_baked_again_from_the_command_line(
     assert len(bpy.data.scenes) == 2
 
 
-def test_hands_do_in_the_film_what_they_did_live(studio: Any, tmp_path: Path) -> None:
-    """Follow a hand that gives way, comes and goes, with ghosts as dense as the finer clay."""
+def test_hands_move_in_the_film_as_they_did_live(studio: Any, tmp_path: Path) -> None:
+    """A hand that gives way and is lost is replayed, with ghosts as dense as the finer clay."""
     scene = studio.scene
     scene.render.fps = 60
     clay = studio.clay(location=(0.0, 0.0, 0.02))
@@ -330,9 +330,9 @@ def test_hands_do_in_the_film_what_they_did_live(studio: Any, tmp_path: Path) ->
     )
 
 
-@pytest.mark.skipif(not LEAP.exists(), reason="the recording is not beside this repository")
+@pytest.mark.skipif(not LEAP.exists(), reason="needs a recording from outside the repository")
 def test_two_tracked_hands_are_recorded_and_replayed(studio: Any, tmp_path: Path) -> None:
-    """Record what tracked hands do, and play it again to the same poses."""
+    """Tracked hands have the same poses in the take and in the film."""
     scene = studio.scene
     scene.render.fps = 60
     studio.clay(location=(0.0, 0.0, 0.02))
@@ -368,7 +368,7 @@ def test_two_tracked_hands_are_recorded_and_replayed(studio: Any, tmp_path: Path
 
 
 def _poses(armatures: dict[str, Any], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """World matrices of some bones."""
+    """World matrices of the named bones of all armatures."""
     return np.array(
         [
             armature.matrix_world @ armature.pose.bones[name].matrix

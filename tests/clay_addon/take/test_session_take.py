@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A live session that is recorded, from the first stroke to the film."""
+"""A recorded live session, from the first stroke to the film."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from ..sculpt.live.test_session import Clock, Finger, Sculpting, top_of
 
 
 def test_recorded_session_plays_and_bakes_again(studio: Any, tmp_path: Path) -> None:
-    """Press, press and undo that, paint and add clay: the timeline and the film show the same."""
+    """After presses, Undo and edits, timeline and film show the live clay."""
     scene = studio.scene
     scene.render.fps = 60
     clay = studio.clay(location=(0.0, 0.0, 0.02))
@@ -52,7 +52,7 @@ def test_recorded_session_plays_and_bakes_again(studio: Any, tmp_path: Path) -> 
     assert len(live) > 64
     last = scene.frame_end
     assert scene.frame_current == last
-    # What was undone is not in it: two presses of half a second would not fit.
+    # The take does not contain the undone press: two presses of half a second would not fit.
     assert (last - 1) / 60 < 1.4
     assert [edit.kind for edit in take_edits(scene)] == ["paint", "add"]
     assert [*range(1, last + 1)] == Cache(resolve_directory(scene)).frames()

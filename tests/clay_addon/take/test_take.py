@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Takes: what is recorded, that it plays as it happened, and that little of it can be lost."""
+"""Recording, playing and recovering takes."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from tactile_clay.clay_addon.core.storage import whole_files as cache_files
+from tactile_clay.clay_addon.core.storage import atomic_files as cache_files
 from tactile_clay.clay_addon.core.storage.cache import Cache, CacheError
 from tactile_clay.clay_addon.core.take.files import read_take
 from tactile_clay.clay_addon.core.tools.edits import Edit
@@ -29,8 +29,8 @@ from .takes import STEP, TOP, Loop, press, pressed, record_press, studio_scene
 
 
 @pytest.mark.parametrize("rate", [24, 60])
-def test_take_plays_as_it_happened(studio: Any, tmp_path: Path, rate: int) -> None:
-    """Show the clay, and pose the tool, at each frame as they were at its time."""
+def test_take_plays_as_recorded(studio: Any, tmp_path: Path, rate: int) -> None:
+    """At each frame the clay and the tool are as they were at that time."""
     clay, item = studio_scene(studio, tmp_path, rate=rate)
     start = studio.points(clay)
     loop = Loop(studio.scene)
@@ -44,12 +44,12 @@ def test_take_plays_as_it_happened(studio: Any, tmp_path: Path, rate: int) -> No
     for frame in range(1, last + 1):
         scene.frame_set(frame)
         step = (frame - 1) / rate / STEP
-        before, share = loop.shapes[int(step)], step - int(step)
+        before, fraction = loop.shapes[int(step)], step - int(step)
         after = loop.shapes[min(int(step) + 1, len(loop.shapes) - 1)]
         shown = studio.points(clay)
-        np.testing.assert_allclose(shown, before + share * (after - before), atol=1e-7)
+        np.testing.assert_allclose(shown, before + fraction * (after - before), atol=1e-7)
         wanted = press((frame - 1) / rate)
-        # Between two steps the tool goes straight.
+        # Between two steps the tool moves linearly.
         assert (item.matrix_world.translation - wanted.translation).length < 1e-4
         assert item.tactile_clay.collider_enabled == pressed((frame - 1) / rate)
     np.testing.assert_allclose(shown, loop.shapes[-1], atol=1e-7)
@@ -61,7 +61,7 @@ def test_take_plays_as_it_happened(studio: Any, tmp_path: Path, rate: int) -> No
 def test_a_take_that_cannot_begin_leaves_no_thread(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """End the writer's thread when the folder cannot be written to."""
+    """The writer thread ends if the folder cannot be written to."""
     studio_scene(studio, tmp_path, rate=60)
 
     def full(*_: Any) -> None:
@@ -74,7 +74,7 @@ def test_a_take_that_cannot_begin_leaves_no_thread(
 
 
 def test_take_survives_saving_and_loading(studio: Any, tmp_path: Path) -> None:
-    """Keep keyframes, frames and the first clay in the .blend."""
+    """The .blend stores the keyframes, the folder of the frames and the initial clay."""
     clay, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.2)
@@ -90,8 +90,8 @@ def test_take_survives_saving_and_loading(studio: Any, tmp_path: Path) -> None:
     assert (item.matrix_world.translation - press(0.1).translation).length < 1e-6
 
 
-def test_only_what_moved_or_may_move_gets_keys(studio: Any, tmp_path: Path) -> None:
-    """Leave a table without keys, and hold still what an old action would move."""
+def test_only_objects_that_moved_or_may_move_get_keys(studio: Any, tmp_path: Path) -> None:
+    """A table gets no keys; an object with an old action gets keys that hold it still."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     item.location.z = 0.2
     for frame, x in ((1, 0.0), (50, 1.0)):
@@ -111,7 +111,7 @@ def test_only_what_moved_or_may_move_gets_keys(studio: Any, tmp_path: Path) -> N
 
 
 def test_tool_that_moves_with_its_parent_is_followed(studio: Any, tmp_path: Path) -> None:
-    """Key the parent that was moved; the tool comes along."""
+    """Only the parent that moved is keyed, and moves the tool."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     handle = bpy.data.objects.new("Handle", None)
     studio.scene.collection.objects.link(handle)
@@ -130,7 +130,7 @@ def test_tool_that_moves_with_its_parent_is_followed(studio: Any, tmp_path: Path
 
 
 def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) -> None:
-    """Make a collider of what was in the mouse, where it was, felt when it was."""
+    """A tool moved with the mouse becomes a collider, enabled while it touched the clay."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     bpy.data.objects.remove(item)
     studio.scene.unit_settings.scale_length = 0.5
@@ -158,7 +158,7 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
             height = 2.0 * (0.3 - 0.01 * (frame - 1))
             assert tool.matrix_world.translation.z == pytest.approx(height, abs=1e-5)
     assert felt == [frame in (4, 5, 6, 9, 10) for frame in range(1, 14)]
-    # The next session feels nothing of it, and the next take replaces it.
+    # The collider does not affect the next session, and the next take replaces it.
     studio.scene.frame_set(6)
     again = Loop(studio.scene)
     assert again.simulation.solver is not None
@@ -170,7 +170,7 @@ def test_mouse_tool_becomes_a_collider_with_keys(studio: Any, tmp_path: Path) ->
 
 
 def test_undone_strokes_are_not_in_the_take(studio: Any, tmp_path: Path) -> None:
-    """Go on from where Undo went back to, in poses, edits and frames alike."""
+    """After Undo, poses, edits and frames continue from the earlier state."""
     clay, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.1)
@@ -195,8 +195,8 @@ def test_undone_strokes_are_not_in_the_take(studio: Any, tmp_path: Path) -> None
         np.testing.assert_allclose(studio.points(clay), loop.shapes[frame - 1], atol=1e-7)
 
 
-def test_particles_that_come_are_shown_at_others_before(studio: Any, tmp_path: Path) -> None:
-    """Play frames from before an edit with the particles there are after it."""
+def test_particles_to_be_added_are_shown_at_others_before(studio: Any, tmp_path: Path) -> None:
+    """Frames before an edit are played with the number of particles after it."""
     clay, _ = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     for _ in range(4):
@@ -220,10 +220,10 @@ def test_particles_that_come_are_shown_at_others_before(studio: Any, tmp_path: P
     assert not list(resolve_directory(studio.scene).glob("part_*"))
 
 
-def test_full_disk_costs_nothing_but_the_clays_frames(
+def test_full_disk_loses_only_frames_of_the_clay(
     studio: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Say what is wrong while it is recorded, and key what could not be written."""
+    """The problem is reported during the recording; unwritten motion still gets keys."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     record_press(loop, item, 0.1)
@@ -231,8 +231,8 @@ def test_full_disk_costs_nothing_but_the_clays_frames(
     def refuse(path: Path, *_: object, **__: object) -> None:
         raise CacheError(f"The disk is full: {path.name} could not be written.")
 
-    monkeypatch.setattr(cache_files, "write_whole", refuse)
-    monkeypatch.setattr("tactile_clay.clay_addon.core.take.files.write_whole", refuse)
+    monkeypatch.setattr(cache_files, "write_atomically", refuse)
+    monkeypatch.setattr("tactile_clay.clay_addon.core.take.files.write_atomically", refuse)
     for number in range(7, 13):
         item.matrix_world = press(number * STEP)
         loop.step()
@@ -244,7 +244,7 @@ def test_full_disk_costs_nothing_but_the_clays_frames(
 
 
 def test_take_of_no_steps_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Say that nothing was recorded, and key nothing."""
+    """A take without steps is refused and makes no keys."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     loop = Loop(studio.scene)
     with pytest.raises(TakeError, match="Nothing was recorded"):
@@ -253,7 +253,7 @@ def test_take_of_no_steps_is_refused(studio: Any, tmp_path: Path) -> None:
 
 
 def test_unsaved_file_and_other_clay_are_refused(studio: Any, tmp_path: Path) -> None:
-    """Say where a take would go, and that it is of the same clay throughout."""
+    """A take needs a saved .blend, and the same clay objects throughout."""
     clay = studio.clay()
     simulation = Simulation(bpy.context, live=True)
     simulation.start(bpy.context.evaluated_depsgraph_get(), "cpu")
@@ -268,14 +268,14 @@ def test_unsaved_file_and_other_clay_are_refused(studio: Any, tmp_path: Path) ->
         recorder.finish(studio.scene)
 
 
-def test_recovering_what_is_no_take_is_refused(studio: Any, tmp_path: Path) -> None:
-    """Say that there is none."""
+def test_recovering_needs_a_take(studio: Any, tmp_path: Path) -> None:
+    """A folder without a valid take is refused."""
     studio.clay()
     message = studio.refused(bpy.ops.clay.take_recover, directory=str(tmp_path))
     assert "There is no take in" in message
     (tmp_path / "take.json").write_text("{}")
     message = studio.refused(bpy.ops.clay.take_recover, directory=str(tmp_path))
-    assert "cannot be understood" in message
+    assert "is damaged" in message
 
 
 _KILLED = """
@@ -299,7 +299,7 @@ for number in range(1, 10_000):
 
 
 def test_killed_take_is_read_up_to_its_last_seconds(studio: Any, tmp_path: Path) -> None:
-    """Key what was on the disk when the process was killed, clay and tools alike."""
+    """A take can be recovered from the files of a killed process."""
     _, item = studio_scene(studio, tmp_path, rate=60)
     blend = str(tmp_path / "scene.blend")
     code = _KILLED.format(blend=blend, names=("take_000000.npz", "frame_000121.npz"))

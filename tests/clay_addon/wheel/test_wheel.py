@@ -199,7 +199,7 @@ def test_endless_plane_cannot_be_a_wheel(studio: Any) -> None:
     """Refuse a flat collider with a wheel speed."""
     studio.clay(location=(0.0, 0.0, 0.03))
     studio.table().tactile_clay.wheel_speed = 100.0
-    with pytest.raises(SimulationError, match="'Table' has a wheel speed, but an endless plane"):
+    with pytest.raises(SimulationError, match="'Table' has a wheel speed, but an infinite plane"):
         Simulation(bpy.context)
 
 

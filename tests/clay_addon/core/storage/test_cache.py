@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cache on disk: what is written comes back, and nothing damaged passes for a frame."""
+"""Reading and writing a cache, and detection of damaged files."""
 
 import errno
 import json
@@ -71,23 +71,23 @@ json_values = st.recursive(
 
 
 @given(metas)
-def test_meta_comes_back_as_written(meta: Meta) -> None:
-    """Read back any meta.json that was written, and the same digest with it."""
+def test_meta_survives_a_round_trip(meta: Meta) -> None:
+    """Any metadata is read back equal and with the same digest."""
     again = Meta.from_json(meta.to_json())
     assert again == meta
     assert again.digest == meta.digest
 
 
 @given(st.text() | json_values.map(json.dumps))
-def test_any_other_meta_is_called_damaged(text: str) -> None:
-    """Say that a meta.json is damaged, whatever it holds instead."""
+def test_invalid_meta_is_reported_as_damaged(text: str) -> None:
+    """Arbitrary text or JSON raises CacheDamagedError."""
     with pytest.raises(CacheDamagedError):
         Meta.from_json(text)
 
 
 @given(st.data())
-def test_meta_with_one_entry_changed_is_read_or_called_damaged(data: st.DataObject) -> None:
-    """Raise no other error for a meta.json in which one entry was replaced or removed."""
+def test_meta_with_one_entry_changed_is_read_or_reported_as_damaged(data: st.DataObject) -> None:
+    """A meta.json with one entry replaced or removed raises no other error."""
     table = json.loads(META.to_json())
     key = data.draw(st.sampled_from(sorted(table)))
     if data.draw(st.booleans()):
@@ -102,10 +102,10 @@ def test_meta_with_one_entry_changed_is_read_or_called_damaged(data: st.DataObje
 
 
 @given(number=st.integers(-99999, 10**7), seed=st.integers(0, 2**32))
-def test_frame_comes_back_as_written(
+def test_frame_survives_a_round_trip(
     tmp_path_factory: pytest.TempPathFactory, number: int, seed: int
 ) -> None:
-    """Read back the very bits of a frame, under any frame number."""
+    """A frame with any number is read back bit for bit."""
     cache = Cache(tmp_path_factory.getbasetemp() / "any-frame")
     cache.begin(META, np.ones((5, 4)))
     frame = make_frame(number, seed)
@@ -118,15 +118,15 @@ def test_frame_comes_back_as_written(
 
 
 def test_equal_frames_make_equal_files(cache: Cache, tmp_path: Path) -> None:
-    """Write the same bytes for the same frame, whenever it is written."""
+    """The bytes of a frame's file do not depend on when it is written."""
     other = Cache(tmp_path / "other")
     other.begin(META, np.ones((5, 4)))
     other.write_frame(make_frame(2), META)
     assert other.frame_path(2).read_bytes() == cache.frame_path(2).read_bytes()
 
 
-def test_every_truncation_is_noticed(cache: Cache) -> None:
-    """Call a frame damaged wherever its file was cut off."""
+def test_every_truncation_is_detected(cache: Cache) -> None:
+    """A frame file cut off anywhere is reported as damaged."""
     path = cache.frame_path(2)
     whole = path.read_bytes()
     for length in range(0, len(whole), 7):
@@ -135,37 +135,37 @@ def test_every_truncation_is_noticed(cache: Cache) -> None:
             cache.read_frame(2)
 
 
-def test_no_flipped_bit_changes_a_frame_unnoticed(cache: Cache) -> None:
-    """Give the frame as it was or call it damaged, whichever byte was altered."""
+def test_no_flipped_bit_changes_a_frame_undetected(cache: Cache) -> None:
+    """With any byte altered, the frame is read unchanged or reported as damaged."""
     path = cache.frame_path(2)
     whole = path.read_bytes()
     frame = make_frame(2)
-    noticed = 0
-    for place in range(0, len(whole), 3):
+    detected = 0
+    for position in range(0, len(whole), 3):
         altered = bytearray(whole)
-        altered[place] ^= 1 << place % 8
+        altered[position] ^= 1 << position % 8
         path.write_bytes(altered)
         try:
             again = cache.read_frame(2)
         except CacheDamagedError:
-            noticed += 1
+            detected += 1
             continue
         assert again.positions.tobytes() == frame.positions.tobytes()
         assert again.velocities.tobytes() == frame.velocities.tobytes()
         assert again.inputs == frame.inputs
-    assert noticed > len(whole) / 6
+    assert detected > len(whole) / 6
 
 
 def test_damaged_frame_counts_as_missing(cache: Cache) -> None:
-    """Leave a truncated frame out of the whole ones."""
+    """A truncated frame is not among the intact ones."""
     path = cache.frame_path(2)
     path.write_bytes(path.read_bytes()[:-100])
     assert cache.frames() == [1, 2, 3]
-    assert sorted(cache.whole_frames(1, 4)) == [1, 3]
+    assert sorted(cache.intact_frames(1, 4)) == [1, 3]
 
 
 def test_frame_of_another_bake_or_number_is_refused(cache: Cache) -> None:
-    """Notice a frame that was renamed, or left by a bake with other settings."""
+    """A frame that was renamed or left by a bake with other settings is detected."""
     cache.frame_path(2).rename(cache.frame_path(4))
     with pytest.raises(CacheDamagedError, match="another bake or frame"):
         cache.read_frame(4)
@@ -175,14 +175,14 @@ def test_frame_of_another_bake_or_number_is_refused(cache: Cache) -> None:
         cache.read_frame(1)
 
 
-def test_missing_frame_is_told_from_a_damaged_one(cache: Cache) -> None:
-    """Say that a frame is missing where it was never baked."""
+def test_missing_frame_is_not_reported_as_damaged(cache: Cache) -> None:
+    """A frame that was never baked raises CacheMissingError."""
     with pytest.raises(CacheMissingError, match=r"frame_000004\.npz is missing"):
         cache.read_frame(4)
 
 
-def test_missing_folder_holds_no_bake(tmp_path: Path) -> None:
-    """Read a folder that is not there as an empty cache, and make none by looking."""
+def test_missing_folder_is_an_empty_cache(tmp_path: Path) -> None:
+    """A folder that does not exist reads as an empty cache, and is not created."""
     cache = Cache(tmp_path / "nowhere")
     assert (cache.exists(), cache.frames(), cache.size()) == (False, [], 0)
     with pytest.raises(CacheMissingError, match="no bake"):
@@ -190,8 +190,8 @@ def test_missing_folder_holds_no_bake(tmp_path: Path) -> None:
     assert not cache.directory.exists()
 
 
-def test_checkpoint_comes_back_and_belongs_to_its_bake(cache: Cache) -> None:
-    """Read back every array of a checkpoint, and refuse one of another bake."""
+def test_checkpoint_survives_a_round_trip_and_belongs_to_its_bake(cache: Cache) -> None:
+    """Every array of a checkpoint is read back; a checkpoint from another bake is refused."""
     snapshot = {"time": np.array(0.5), "bond": np.arange(6).reshape(2, 3), "none": np.zeros(0)}
     cache.write_checkpoint(2, snapshot, META)
     again = cache.read_checkpoint(2)
@@ -203,8 +203,8 @@ def test_checkpoint_comes_back_and_belongs_to_its_bake(cache: Cache) -> None:
         cache.read_checkpoint(2, meta=Meta(**{**vars(META), "start": 0}))
 
 
-def test_free_removes_what_is_the_caches_and_nothing_else(cache: Cache) -> None:
-    """Leave files that the cache did not write, and the folder as long as one is in it."""
+def test_free_removes_only_files_of_the_cache(cache: Cache) -> None:
+    """Other files are left, and so is the folder until they are gone."""
     notes = cache.directory / "notes.txt"
     notes.write_text("mine")
     size = cache.size()
@@ -219,7 +219,7 @@ def test_free_removes_what_is_the_caches_and_nothing_else(cache: Cache) -> None:
 def test_full_disk_leaves_no_damaged_file(
     cache: Cache, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    """Say that the disk is full, keep the frames so far, and leave no half-written file."""
+    """A full disk is reported, and leaves earlier frames intact and no partial file."""
 
     def full(handle: int) -> None:
         raise OSError(number, os.strerror(number))
@@ -254,8 +254,8 @@ print(sorted(path.name for path in cache.directory.iterdir()))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits on the size of files")
-def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path: Path) -> None:
-    """Leave no part of a frame where the system really stops the write in the middle."""
+def test_interrupted_write_leaves_nothing(tmp_path: Path) -> None:
+    """A write that the operating system really stops midway leaves no part of a frame."""
     result = subprocess.run(
         [sys.executable, "-c", LIMITED, str(tmp_path / "cache")],
         capture_output=True,
@@ -286,7 +286,7 @@ except CacheError as error:
 @pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX permissions")
 @pytest.mark.parametrize("where", ["itself", "below"])
 def test_read_only_folder_is_refused_before_any_work(tmp_path: Path, where: str) -> None:
-    """Say that a folder cannot be written to, also where it cannot be made."""
+    """A folder that cannot be written to or created is reported."""
     folder = tmp_path / "cache"
     folder.mkdir()
     for parent in (tmp_path, *tmp_path.parents[:2]):
@@ -300,22 +300,22 @@ def test_read_only_folder_is_refused_before_any_work(tmp_path: Path, where: str)
     assert "cannot be written to (Permission denied). Choose another folder" in result.stdout
 
 
-def test_folder_whose_name_is_a_file_is_refused(tmp_path: Path) -> None:
-    """Say that the folder cannot be made where a file has its name."""
+def test_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    """A cache folder cannot be created where a file has its name."""
     (tmp_path / "file").write_text("")
     with pytest.raises(CacheError, match="cannot be written to"):
         Cache(tmp_path / "file").prepare()
 
 
 def test_leftovers_of_a_killed_process_are_removed(cache: Cache) -> None:
-    """Clear temporary files away before the next bake."""
+    """Temporary files are removed before the next bake."""
     (cache.directory / ".clay-123-frame_000004.tmp").write_bytes(b"half")
     cache.prepare()
     assert not list(cache.directory.glob(".clay-*"))
 
 
 def test_two_processes_do_not_write_at_once(cache: Cache) -> None:
-    """Refuse the folder while another bake has it, and take it as soon as that ends."""
+    """A folder is refused while another bake holds its lock, and accepted right afterward."""
     with cache.locked(), pytest.raises(CacheError, match="Another process"), cache.locked():
         pass
     with cache.locked():
@@ -323,7 +323,7 @@ def test_two_processes_do_not_write_at_once(cache: Cache) -> None:
 
 
 def test_cache_needs_no_blender() -> None:
-    """Read a cache from scripts that have no bpy."""
+    """Scripts without bpy can import the cache."""
     source = (
         "import sys; sys.modules['bpy'] = None; import tactile_clay.clay_addon.core.storage.cache"
     )
@@ -331,33 +331,35 @@ def test_cache_needs_no_blender() -> None:
 
 
 def test_foreign_meta_is_left_alone(tmp_path: Path) -> None:
-    """Neither bake over a meta.json that no bake wrote nor remove it."""
+    """A meta.json that is not from a bake is neither overwritten nor removed."""
     path = tmp_path / "meta.json"
     path.write_text('{"model": "mine"}')
     for work in (lambda: Cache(tmp_path).begin(META, np.ones((5, 4))), Cache(tmp_path).free):
-        with pytest.raises(CacheError, match=r"meta\.json is not of a bake.*another cache folder"):
+        with pytest.raises(
+            CacheError, match=r"meta\.json is not from a bake.*another cache folder"
+        ):
             work()
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_text() == '{"model": "mine"}'
 
 
-def test_damaged_meta_of_a_bake_is_baked_over(cache: Cache) -> None:
-    """Start afresh where the frames show that a bake was there."""
+def test_damaged_meta_of_a_bake_is_overwritten(cache: Cache) -> None:
+    """A new bake may start in a folder whose frames show that it held a bake."""
     (cache.directory / "meta.json").write_text("garbage")
     cache.begin(META, np.ones((5, 4)))
     assert (cache.meta(), cache.frames()) == (META, [])
 
 
 def test_bake_is_not_freed_while_another_process_bakes(cache: Cache) -> None:
-    """Leave the frames of a bake that runs."""
+    """The frames of a running bake are kept."""
     with cache.locked(), pytest.raises(CacheError, match="Another process"):
         Cache(cache.directory).free()
     assert cache.frames() == [1, 2, 3]
 
 
 @pytest.mark.parametrize("name", ["clay.lock", "frame_000004.npz"])
-def test_folder_in_the_place_of_a_file_is_said(cache: Cache, name: str) -> None:
-    """Name what is in the way, whatever is done to the cache."""
+def test_folder_in_place_of_a_file_is_reported(cache: Cache, name: str) -> None:
+    """Error messages name a folder that has the name of a cache file."""
     (cache.directory / name).mkdir()
     with pytest.raises(CacheError, match=name):
         cache.free()
@@ -365,16 +367,16 @@ def test_folder_in_the_place_of_a_file_is_said(cache: Cache, name: str) -> None:
         cache.begin(META, np.ones((5, 4)))
 
 
-def test_size_can_be_told_while_files_go(cache: Cache, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Count what is there while another process renames its files."""
-    gone = cache.directory / ".clay-1-frame_000009.tmp"
+def test_size_ignores_files_that_disappear(cache: Cache, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size can be computed while another process renames its files."""
+    removed = cache.directory / ".clay-1-frame_000009.tmp"
     size = cache.size()
-    monkeypatch.setattr(cache, "_own_files", lambda: [gone, *Cache._own_files(cache)])
+    monkeypatch.setattr(cache, "_own_files", lambda: [removed, *Cache._own_files(cache)])
     assert cache.size() == size
 
 
-def test_damaged_frame_is_called_that_and_no_more(cache: Cache) -> None:
-    """Pass on no advice to unpickle a file of unknown content."""
+def test_message_about_a_damaged_frame_does_not_suggest_pickle(cache: Cache) -> None:
+    """numpy's advice to allow pickle is not passed on."""
     cache.frame_path(2).write_bytes(b"x")
     with pytest.raises(CacheDamagedError, match=r"^frame_000002\.npz is damaged$"):
         cache.read_frame(2)

@@ -14,7 +14,7 @@ LAYOUT = ClayLayout([ClaySlice("Clay", 3), ClaySlice("Lump", 2)])
 
 
 def test_rows_are_split_by_object_and_joined_again() -> None:
-    """Give each object its rows as views, and put them together in the same order."""
+    """Splitting returns views of each object's rows; joining restores the array."""
     rows = np.arange(15.0, dtype=np.float32).reshape(5, 3)
     clay, lump = LAYOUT.split(rows)
     np.testing.assert_array_equal(clay, rows[:3])
@@ -25,8 +25,8 @@ def test_rows_are_split_by_object_and_joined_again() -> None:
     np.testing.assert_array_equal(joined, rows)
 
 
-def test_what_does_not_fit_is_refused() -> None:
-    """Refuse rows of other clay, also where only their sum fits."""
+def test_wrong_number_of_rows_is_refused() -> None:
+    """Row counts that differ from the particle counts are refused, even if their sum is right."""
     with pytest.raises(ValueError, match="4 rows for 5 particles"):
         LAYOUT.split(np.zeros((4, 3)))
     with pytest.raises(ValueError, match="the objects"):
@@ -34,15 +34,15 @@ def test_what_does_not_fit_is_refused() -> None:
 
 
 def test_names_and_counts() -> None:
-    """Tell the names and counts of the objects, and nothing where there are none."""
+    """A layout lists the names and counts of its objects, and may be empty."""
     assert LAYOUT.names == ["Clay", "Lump"]
     assert LAYOUT.counts == [3, 2]
     assert LAYOUT.particle_count == 5
     assert ClayLayout().split(np.zeros((0, 3))) == []
 
 
-def test_a_layout_is_kept_with_a_bake() -> None:
-    """Write a layout to a bake's description as a list of objects, and read an equal one."""
+def test_layout_is_stored_in_the_metadata_of_a_bake() -> None:
+    """A layout is written as a list of objects, and read back equal."""
     meta = Meta(1, 2, 24.0, LAYOUT, {})
     text = meta.to_json()
     assert json.loads(text)["clay"] == [{"name": "Clay", "count": 3}, {"name": "Lump", "count": 2}]

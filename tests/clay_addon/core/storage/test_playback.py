@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Playing a bake from its folder."""
+"""Playback of a bake from its folder."""
 
 import os
 from dataclasses import replace
@@ -21,7 +21,7 @@ META = Meta(1, 3, 24.0, (ClaySlice("Clay", 3), ClaySlice("Lump", 2)), {})
 
 
 def test_each_object_gets_its_points(tmp_path: Path) -> None:
-    """Read a frame as the positions and velocities of each object."""
+    """A frame is split into the positions and velocities of each object."""
     cache = Cache(tmp_path)
     cache.begin(META, np.ones((5, 4)))
     rows = np.arange(15, dtype=np.float32).reshape(5, 3)
@@ -37,8 +37,8 @@ def test_each_object_gets_its_points(tmp_path: Path) -> None:
         playback.frame(3)
 
 
-def test_description_is_read_again_when_it_changes(tmp_path: Path) -> None:
-    """Keep what the bake was made from, until its file is written anew."""
+def test_metadata_is_read_again_when_it_changes(tmp_path: Path) -> None:
+    """The metadata is cached until its file is rewritten."""
     cache = Cache(tmp_path)
     cache.begin(META, np.ones((5, 4)))
     playback = Playback(cache)
@@ -50,7 +50,7 @@ def test_description_is_read_again_when_it_changes(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_bake_has_no_frames(tmp_path: Path) -> None:
-    """Tell that there is no bake, without making anything on the disk."""
+    """A missing bake is reported without creating the folder."""
     playback = Playback(Cache(tmp_path / "none"))
     assert playback.frames() == []
     with pytest.raises(CacheMissingError):
@@ -62,13 +62,13 @@ def test_a_folder_without_a_bake_has_no_frames(tmp_path: Path) -> None:
     ("number", "hold", "shown"),
     [(-5, 1, 3), (3, 1, 3), (5, 1, 5), (99, 1, 8), (4, 2, 3), (5, 2, 5), (99, 4, 7)],
 )
-def test_the_ends_are_held_and_so_is_each_shape(number: int, hold: int, shown: int) -> None:
-    """Show the ends of the bake outside it, and each shape for the frames it is held."""
+def test_first_and_last_frames_and_each_shape_are_held(number: int, hold: int, shown: int) -> None:
+    """Outside its range a bake shows its first or last frame; within, each shape is held."""
     assert shown_frame([3, 4, 5, 6, 7, 8], number, hold=hold) == shown
 
 
-def test_held_frames_begin_with_the_first() -> None:
-    """Count the frames that a shape is held from the first frame of the bake."""
+def test_held_frames_are_counted_from_the_first() -> None:
+    """Holding starts at the first frame of the bake."""
     assert [held_frame(n, first=3, hold=2) for n in range(3, 8)] == [3, 3, 5, 5, 7]
     with pytest.raises(CacheMissingError):
         shown_frame([], 1, hold=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The words of the command line: commands, options and exit codes."""
+"""Parser of the command line: commands, options and exit codes."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ EXIT_STALE = 3
 EXIT_INTERRUPTED = 130
 
 Outcome = tuple[int, str]
-"""Exit code, and what to print on the standard output."""
+"""Exit code, and the text for standard output."""
 CarryOut = Callable[[argparse.Namespace], Outcome]
-"""What carries a command out."""
+"""A function that runs a command."""
 
 _EXIT_CODES = """\
 exit codes:
   0    done
   1    failed; the message says why and what to do
-  2    the command was not understood, or FILE.blend is not there
-  3    the bake is stale or not complete: bake again, or resume
-  130  interrupted; what is baked is kept, and --resume goes on
+  2    the command is invalid, or FILE.blend does not exist
+  3    the bake is stale or incomplete: bake again, or resume
+  130  interrupted; baked frames are kept, and --resume continues
 """
 
 
 def make_parser(
-    program: str, *, names_file: bool, commands: Mapping[str, CarryOut]
+    program: str, *, file_argument: bool, commands: Mapping[str, CarryOut]
 ) -> argparse.ArgumentParser:
-    """The parser of all commands.
+    """Make the parser of all commands.
 
     Args:
-        program: What was called.
-        names_file: Whether the .blend is named; inside Blender it is the one that is open.
-        commands: What carries each one out, by its name.
+        program: Name of the program for messages.
+        file_argument: Whether the .blend is an argument; inside Blender it is the open file.
+        commands: Functions that run the commands, by name.
     """
 
     def describe(text: str) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def make_parser(
         return command
 
     def add_file_options(command: argparse.ArgumentParser) -> None:
-        if names_file:
+        if file_argument:
             command.add_argument("file", metavar="FILE.blend", type=Path)
         command.add_argument(
             "--scene", metavar="NAME", help="the scene (default: the file's active one)"
@@ -88,15 +88,15 @@ def make_parser(
         help="frames to bake, as 1-120 or -10--1 (default: the scene's range)",
     )
     bake.add_argument(
-        "--resume", action="store_true", help="keep the frames that are there and go on"
+        "--resume", action="store_true", help="keep existing frames and continue the bake"
     )
     bake.add_argument(
         "--device",
         choices=("auto", "cpu", "cuda:0"),
-        help="where to compute (default: the preferences')",
+        help="device for the simulation (default: from the preferences)",
     )
     bake.add_argument(
-        "--replace", action="store_true", help="bake over the cache of another .blend or scene"
+        "--replace", action="store_true", help="overwrite the cache of another .blend or scene"
     )
     bake.add_argument(
         "--save", action="store_true", help="store --frames and --cache in the .blend, for playback"
@@ -105,21 +105,21 @@ def make_parser(
     bake.add_argument(
         "--again",
         action="store_true",
-        help="bake the recorded take of the scene with finer clay, in a scene of its own, and save "
-        "that in the .blend; with --resume go on with it",
+        help="bake the recorded take of the scene with finer clay, in a separate scene, and save "
+        "the .blend; with --resume, continue that bake",
     )
     bake.add_argument(
         "--spacing",
         metavar="MM",
         type=_positive,
-        help="with --again: distance between particles in millimeters (default: half the live one)",
+        help="with --again: particle spacing in millimeters (default: half the live spacing)",
     )
     bake.add_argument(
         "--substeps",
         metavar="N",
         type=int,
         default=0,
-        help="with --again: solver steps in each sixtieth of a second (default: the solver's own)",
+        help="with --again: solver steps per sixtieth of a second (default: chosen by the solver)",
     )
 
     export = add("export", "write the clay at a frame as one watertight mesh")
@@ -144,14 +144,14 @@ def make_parser(
         help="unit of the numbers in the file (default: mm in .stl and .3mf, else m)",
     )
     export.add_argument(
-        "--base", type=float, default=0.0, metavar="MM", help="cut so much off for a flat base"
+        "--base", type=float, default=0.0, metavar="MM", help="height to cut off for a flat base"
     )
     export.add_argument(
         "--wall",
         type=float,
         default=1.0,
         metavar="MM",
-        help="warn of thinner walls in .stl and .3mf (default: 1)",
+        help="warn about thinner walls in .stl and .3mf (default: 1)",
     )
 
     deliver = add("deliver", "write the clay over time as USD or Alembic, with a player")
@@ -166,7 +166,7 @@ def make_parser(
     deliver.add_argument(
         "--format", choices=("usd", "abc"), help="usd or abc (default: the scene's, usd)"
     )
-    deliver.add_argument("--points", action="store_true", help="write the particles too (usd)")
+    deliver.add_argument("--points", action="store_true", help="also write the particles (usd)")
     deliver.add_argument(
         "--output", metavar="DIR", help="the folder of the delivery (default: the scene's)"
     )
@@ -176,7 +176,7 @@ def make_parser(
         help="play the files in place of the clay, and store that in the .blend",
     )
 
-    render = add("render", "render baked frames, each whole or not at all")
+    render = add("render", "render baked frames to images")
     add_file_options(render)
     render.add_argument(
         "--frames",
@@ -187,27 +187,27 @@ def make_parser(
     render.add_argument(
         "--output",
         metavar="PATH",
-        help="path of the pictures, as pictures/frame_#### (default: the scene's)",
+        help="path of the images, such as images/frame_#### (default: the scene's)",
     )
-    render.add_argument("--resume", action="store_true", help="keep the pictures that are there")
+    render.add_argument("--resume", action="store_true", help="keep existing images")
 
-    info = add("info", "tell what clay a file holds and what is baked")
+    info = add("info", "describe the clay in a file and its bake")
     add_file_options(info)
 
-    if names_file:
+    if file_argument:
         from ...haptics.array_server.command import add_arguments as add_server_arguments
 
         server = add("array-server", "drive an ultrasound array with focal points")
         add_server_arguments(server)
 
-    demo = add("demo", "make and render a scene of the gallery")
+    demo = add("demo", "simulate and render a scene of the gallery")
     demo.add_argument(
         "--scene",
         choices=list(SCENES),
         default=DEFAULT,
-        help="; ".join(f"{name}: {scene.what}" for name, scene in SCENES.items()),
+        help="; ".join(f"{name}: {scene.description}" for name, scene in SCENES.items()),
     )
-    demo.add_argument("--output", type=Path, metavar="DIR", help="where it goes")
+    demo.add_argument("--output", type=Path, metavar="DIR", help="the output folder")
     add_track(words, carry_out=commands["track"])
     return parser
 
@@ -215,7 +215,7 @@ def make_parser(
 def _positive(text: str) -> float:
     value = float(text)
     if not (math.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is not above 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not greater than 0")
     return value
 
 
@@ -247,10 +247,10 @@ def joined_ranges(words: Sequence[str]) -> list[str]:
 
 
 def frame_range(text: str) -> tuple[int, int]:
-    """Two frame numbers from ``1-120``; either may be negative: ``-10--1``.
+    """Parse a range such as ``1-120`` or, with negative frames, ``-10--1``.
 
     Raises:
-        argparse.ArgumentTypeError: It is no range, or ends before it starts.
+        argparse.ArgumentTypeError: The text is not a range, or ends before it starts.
     """
     for split in range(1, len(text)):
         if text[split] == "-":
@@ -263,7 +263,7 @@ def frame_range(text: str) -> tuple[int, int]:
 
 
 def _frame_list(text: str) -> list[int]:
-    """Frame numbers from ``1-10,15``, sorted, each once."""
+    """Parse a list such as ``1-10,15`` to sorted, unique frame numbers."""
     frames: set[int] = set()
     for part in text.split(","):
         try:
@@ -272,6 +272,3 @@ def _frame_list(text: str) -> list[int]:
             start, end = frame_range(part.strip())
             frames.update(range(start, end + 1))
     return sorted(frames)
-
-
-# The commands ----------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that are there whole or not at all, whatever happens while they are written."""
+"""Atomic file writing: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class CacheError(TactileClayError):
 
 
 class CacheMissingError(CacheError):
-    """The cache, or a frame of it, is not there."""
+    """The cache, or a frame of it, is missing."""
 
 
 class CacheDamagedError(CacheError):
-    """A file of the cache is truncated, altered, or not of this bake."""
+    """A file of the cache is truncated, altered, or from another bake."""
 
 
 def lock_file(handle: int) -> None:
-    """Lock an open file until it is closed; do nothing where the file system knows no locks.
+    """Lock an open file until it is closed; do nothing if the file system does not support locks.
 
     Raises:
         BlockingIOError: Another process holds the lock.
@@ -52,7 +52,16 @@ def lock_file(handle: int) -> None:
 
 
 def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
-    """Read an .npz file whole: the checksum of each array in it is verified on the way."""
+    """Read arrays from an .npz file and verify their checksums.
+
+    Args:
+        path: The file.
+        names: Names of the arrays; all if omitted.
+
+    Raises:
+        CacheMissingError: The file does not exist.
+        CacheDamagedError: The file is damaged, or an array is missing.
+    """
     try:
         with np.load(path, allow_pickle=False) as archive:
             return {name: archive[name] for name in names or archive.files}
@@ -76,31 +85,31 @@ def read_arrays(path: Path, names: tuple[str, ...] | None = None) -> dict[str, N
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
-        # numpy's own words advise to unpickle what may be harmful.
+        # numpy's own message suggests allowing pickle, which would be unsafe.
         raise CacheDamagedError(f"{path.name} is damaged") from error
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, lasting: bool = True) -> None:
-    """Write an .npz file whole or not at all; see `write_whole`."""
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], *, durable: bool = True) -> None:
+    """Write an .npz file atomically; see `write_atomically`."""
 
-    # numpy stamps every entry with the same date, so equal arrays make equal bytes.
+    # numpy gives every entry the same date, so equal arrays result in equal bytes.
     def save(file: IO[bytes]) -> None:
         np.savez(file, **arrays)  # type: ignore[arg-type]
 
-    write_whole(path, save, lasting=lasting)
+    write_atomically(path, save, durable=durable)
 
 
-def write_whole(path: Path, write: Callable[[IO[bytes]], object], *, lasting: bool = True) -> None:
-    """Write a file so that it is there whole or not at all, whatever happens on the way.
+def write_atomically(
+    path: Path, write: Callable[[IO[bytes]], object], *, durable: bool = True
+) -> None:
+    """Write a file of a cache atomically; see `replace_file`.
 
-    Args:
-        path: The file.
-        write: Writes it.
-        lasting: Whether it also survives a power cut right afterward, which takes longer.
+    Raises:
+        CacheError: The disk is full or the folder cannot be written to.
     """
     try:
         temporary = path.parent / f".clay-{os.getpid()}-{path.stem}.tmp"
-        replace_file(path, temporary, write, lasting=lasting)
+        replace_file(path, temporary, write, durable=durable)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = (
@@ -113,53 +122,49 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object], *, lasting: bo
 
 
 def replace_file(
-    path: Path, temporary: Path, write: Callable[[IO[bytes]], object], *, lasting: bool = True
+    path: Path, temporary: Path, write: Callable[[IO[bytes]], object], *, durable: bool = True
 ) -> None:
     """Write a file under a temporary name in the same folder, then rename it.
 
     Args:
         path: The file.
-        temporary: The other name.
-        write: Writes it.
-        lasting: Whether to wait until the disk has it.
+        temporary: Path of the temporary file.
+        write: Writes the content to an open file.
+        durable: Whether to wait until the file is on disk, so that it survives a power failure.
 
     Raises:
-        OSError: It cannot be written. A file that was there is as it was.
+        OSError: The file cannot be written. An existing one is unchanged.
     """
     try:
         with temporary.open("wb") as file:
             write(file)
             file.flush()
-            if lasting:
+            if durable:
                 os.fsync(file.fileno())
         temporary.replace(path)
-        if lasting:
+        if durable:
             _sync_folder(path.parent)
     finally:
-        # A file system that takes no file refuses to remove one too, also one that is not there.
+        # A read-only file system refuses removal even of a file that does not exist.
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all; see `replace_file`.
-
-    Args:
-        path: The file.
-        text: What it holds, written as UTF-8.
+    """Write a text file atomically as UTF-8; see `replace_file`.
 
     Raises:
-        OSError: It cannot be written. A file that was there is as it was.
+        OSError: The file cannot be written. An existing one is unchanged.
     """
     content = text.encode("utf-8")
     replace_file(path, path.with_name(f".{path.name}.part"), lambda file: file.write(content))
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make a rename last through a power cut, where the system can do that."""
+    """Make a rename survive a power failure, on systems that support it."""
     if os.name != "posix":
         return
-    # Some network file systems cannot; the file is there all the same.
+    # Some network file systems do not support it; the file exists all the same.
     with suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:
