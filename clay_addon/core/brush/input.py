@@ -62,7 +62,7 @@ class BrushInput:
         self._samples: list[Sample] = []
         self._wheel = 0.0
         self._press: Sample | None = None
-        self._held = self._cancelled = False
+        self._held = self._canceled = False
         self._adjustment: Adjustment | None = None
         self._pointer: Pointer | None = None
 
@@ -93,8 +93,8 @@ class BrushInput:
 
     def take_cancel(self) -> bool:
         """Whether the user has canceled the stroke since the last call."""
-        cancelled, self._cancelled = self._cancelled, False
-        return cancelled
+        canceled, self._canceled = self._canceled, False
+        return canceled
 
     def take_samples(self) -> list[Sample]:
         """Motions since the last call, evenly thinned out, always including the last one."""
@@ -116,7 +116,7 @@ class BrushInput:
         if self._adjustment is not None:
             self._source.write(self._adjustment.name, self._adjustment.start)
         self._adjustment = self._press = None
-        self._held = self._cancelled = False
+        self._held = self._canceled = False
         self._samples.clear()
         self._wheel = 0.0
 
@@ -190,7 +190,7 @@ class BrushInput:
             # Another window may get the release event.
             self._held = False
         elif event.type in ("ESC", "RIGHTMOUSE") and event.value == "PRESS":
-            self._cancelled = True
+            self._canceled = True
         elif event.type in ("WHEELUPMOUSE", "WHEELDOWNMOUSE"):
             self._wheel += 1.0 if event.type == "WHEELDOWNMOUSE" else -1.0
         return True

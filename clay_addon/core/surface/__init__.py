@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Surfaces of particle clay: the exact one, the quick one and their files."""
+"""Surfaces of particle clay, exact or quick, and 3MF files."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exact surface of a particle clay: one closed, colored triangle mesh of the right volume."""
+"""Exact surface of particle clay: a closed, colored triangle mesh with the right volume."""
 
 from __future__ import annotations
 
@@ -15,20 +15,19 @@ from .particle_grid import ParticleGrid
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Lengths below are in units of the particle distance d; volumes in d^3.
+# Lengths below are in units of the particle spacing d; volumes in d^3.
 ISO_VALUE = 0.55
-"""Level of the normalized density at which a flat face and a crumb both come out nearly
-volume-true, so that only a few hundredths of d remain to be corrected."""
+"""Level of the normalized density at which both a flat face and a crumb have nearly the right
+volume, so that only a few hundredths of d remain to be corrected."""
 KERNEL_SUPPORT = 2.0
 CELL_SIZES = (0.35, 0.3337, 0.3681)
-"""Marching-cubes cells; the later ones are tried only when a mesh fails its check."""
+"""Sizes of marching-cubes cells; the later ones are tried only if a mesh fails its check."""
 OFFSET_LIMITS = (-0.15, 0.3)
 MIN_CAVITY = 8.0
-"""Voids below the volume of a cube of side 2 d are what loose packing leaves between
-particles: the spacing cannot tell them from clay, nobody can see them, and they trap resin in
-a print. Larger ones (a hollow model) are meant, and stay."""
+"""Voids smaller than a cube of side 2 d are filled: they result from loose packing, are invisible,
+and would trap resin in a print. Larger ones, as in a hollow model, are intended and stay."""
 MIN_PIECE = 0.02
-"""Shells below this are collapsed voids: a crumb of one particle has a volume of 1."""
+"""Smaller shells are collapsed voids, as a crumb of one particle has a volume of 1."""
 MIN_EDGE = 1e-3
 MAX_VOLUME_ERROR = 0.003
 MAX_EXTENT = 1e5
@@ -36,7 +35,7 @@ COLOR_RADIUS = 1.5
 
 
 class SurfaceError(TactileClayError, ValueError):
-    """The particles have no surface that can be shipped; the message says why."""
+    """No valid surface can be made of the particles; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +45,11 @@ class Surface:
     vertices: Floats
     """Vertex positions [m], shape [V, 3]."""
     faces: Indices
-    """Vertex indices of the triangles, counter-clockwise from outside, shape [F, 3]."""
+    """Vertex indices of the triangles, counter-clockwise seen from outside, shape [F, 3]."""
     colors: NDArray[np.float32] | None = None
     """Linear RGBA of the vertices, 0..1, shape [V, 4], or None."""
     velocities: NDArray[np.float32] | None = None
-    """Velocities of the vertices, in the unit of those of the particles, shape [V, 3], or None."""
+    """Velocities of the vertices, in the particles' unit, shape [V, 3], or None."""
 
     @property
     def volume(self) -> float:
@@ -60,7 +59,7 @@ class Surface:
 
     @property
     def normals(self) -> Floats:
-        """Unit normals of the vertices, means over their faces by area, shape [V, 3]."""
+        """Unit normals of the vertices, area-weighted means over their faces, shape [V, 3]."""
         corners = self.vertices[self.faces]
         area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
         return _vertex_normals(self.faces, area_vectors, len(self.vertices))
@@ -69,7 +68,7 @@ class Surface:
         """Check that the mesh is closed, manifold and consistently wound.
 
         Raises:
-            SurfaceError: with the number of faults of each kind.
+            SurfaceError: It is not; the message counts the faults of each kind.
         """
         check_closed_manifold(self.faces, len(self.vertices))
 
@@ -82,32 +81,32 @@ def reconstruct(
     velocities: ArrayLike | None = None,
     smoothing: int = 20,
 ) -> Surface:
-    """Reconstruct the surface of a particle clay.
+    """Reconstruct the surface of particle clay.
 
-    The density of the particles is contoured and its bumps are smoothed away (Löschner et al.
-    2023, doi:10.2312/vmv.20231245, by the splashsurf library). Then every separate piece is
-    offset along its normals until it holds the volume of its own particles, one cube of side
-    `spacing` each. Pieces too dense or too stretched for an offset of a third of the spacing are
-    scaled about their middle for the rest. A color is a mean over the particles around a vertex;
-    where two colors meet the border is one or two spacings wide.
+    The particle density is contoured and its bumps are smoothed away (Löschner et al. 2023,
+    doi:10.2312/vmv.20231245, with the splashsurf library). Then every separate piece is offset
+    along its normals until it has the volume of its own particles, one cube of side `spacing`
+    each. Pieces too dense or too stretched for an offset of a third of the spacing are also scaled
+    about their center. A color is a mean over the particles around a vertex; borders between
+    colors are one or two spacings wide.
 
     Limitations: no feature smaller than about one spacing survives, and edges are rounded by half
-    of one. Where a piece is thinner than that the offset may make it cross itself. Voids smaller
-    than a cube of two spacings are filled.
+    a spacing. A piece thinner than that may intersect itself after the offset. Voids smaller than
+    a cube of two spacings are filled.
 
     Args:
         positions: Particle positions [m], shape [N, 3].
         spacing: Distance d between neighboring particles [m].
         colors: Linear RGBA of the particles, 0..1, shape [N, 4].
         velocities: Velocities of the particles in any unit, shape [N, 3].
-        smoothing: Smoothing passes. More of them flatten the trace of the particles further and
-            round edges more.
+        smoothing: Number of smoothing passes. More passes make the surface smoother and its edges
+            rounder.
 
     Raises:
-        SurfaceError: if there is no particle, a position, color or velocity is not finite, shapes
-            do not match, the spacing is not positive, the particles lie too far apart, or no closed
-            mesh could be made.
-        ImportError: if pysplashsurf is missing.
+        SurfaceError: There are no particles, a position, color or velocity is not finite, shapes
+            do not match, the spacing is not positive, `smoothing` is negative, the particles are
+            spread too far, or no closed mesh could be made.
+        ImportError: pysplashsurf is missing.
     """
     points, distance = _checked_positions(positions, spacing)
     tints = _checked_rows(colors, len(points), 4, "color")
@@ -121,10 +120,10 @@ def reconstruct(
         raise SurfaceError(
             f"The particles spread over {np.ptp(local, axis=0).max():.3g} spacings, more than the"
             f" {MAX_EXTENT:g} that a surface can cover. Has a piece flown off, or is the"
-            f" spacing ({distance:g} m) in another unit than the positions?"
+            f" spacing ({distance:g} m) in a different unit than the positions?"
         )
     fault: SurfaceError | None = None
-    # Particles on top of one another make a ball that smoothing shrinks to nothing.
+    # Without smoothing last: coincident particles make a ball that smoothing would collapse.
     attempts = [(cell_size, smoothing) for cell_size in CELL_SIZES] + [(CELL_SIZES[0], 0)]
     for cell_size, passes in attempts:
         try:
@@ -148,7 +147,7 @@ def reconstruct(
 def check_closed_manifold(faces: Indices, vertex_count: int) -> None:
     """Check that triangles form closed, manifold, consistently wound shells.
 
-    Every edge must belong to exactly two triangles that run along it in opposite directions, and
+    Every edge must belong to exactly two triangles that traverse it in opposite directions, and
     the triangles around a vertex must form one fan.
 
     Args:
@@ -156,7 +155,7 @@ def check_closed_manifold(faces: Indices, vertex_count: int) -> None:
         vertex_count: Number of vertices.
 
     Raises:
-        SurfaceError: with the number of faults of each kind.
+        SurfaceError: They do not; the message counts the faults of each kind.
     """
     if len(faces) == 0:
         raise SurfaceError("the mesh is empty.")
@@ -171,10 +170,10 @@ def check_closed_manifold(faces: Indices, vertex_count: int) -> None:
     if repeated or unpaired or degenerate:
         raise SurfaceError(
             f"the mesh has {repeated} repeated edges, {unpaired} edges without a partner and"
-            f" {degenerate} edges of no length."
+            f" {degenerate} edges of zero length."
         )
-    # Corner 3 f + k stands at vertex faces[f, k]. Across an edge a -> b the corners at a of both
-    # triangles belong to the same fan; the one beyond is the end of the half-edge b -> a.
+    # Corner 3 f + k is at vertex faces[f, k]. Across an edge a -> b, the corners at a of both
+    # triangles belong to the same fan; the other triangle's is the end of the half-edge b -> a.
     beyond = order[place]
     after = beyond - beyond % 3 + (beyond + 1) % 3
     fan = connected_components(len(start), np.arange(len(start)), after)
@@ -193,7 +192,7 @@ def connected_components(count: int, start: Indices, end: Indices) -> Indices:
         end: The other end, shape [E].
 
     Returns:
-        The smallest node of each node's component, shape [count].
+        For each node, the smallest node in its component, shape [count].
     """
     label = np.arange(count)
     while True:
@@ -214,7 +213,7 @@ def _checked_positions(positions: ArrayLike, spacing: float) -> tuple[Floats, fl
     points = np.asarray(positions, dtype=np.float64)
     distance = float(spacing)
     if points.size == 0:
-        raise SurfaceError("There are no particles, so there is no surface to make.")
+        raise SurfaceError("There are no particles, so there is no surface.")
     if points.ndim != 2 or points.shape[1] != 3:
         raise SurfaceError(f"Positions must have the shape (N, 3), not {points.shape}.")
     if not np.isfinite(distance) or distance <= 0:
@@ -222,8 +221,8 @@ def _checked_positions(positions: ArrayLike, spacing: float) -> tuple[Floats, fl
     broken = int((~np.isfinite(points)).any(axis=1).sum())
     if broken:
         raise SurfaceError(
-            f"{broken} of {len(points)} particles have a position that is not finite."
-            " Go back to a frame before that happened."
+            f"{broken} of {len(points)} particles have positions that are not finite."
+            " Go back to a frame where they were."
         )
     return points, distance
 
@@ -236,8 +235,7 @@ def _checked_rows(
     rows = np.asarray(values, dtype=np.float32)
     if rows.shape != (particle_count, width):
         raise SurfaceError(
-            f"Each particle needs one {what}: the shape ({particle_count}, {width}), not"
-            f" {rows.shape}."
+            f"Each particle needs one {what}: shape ({particle_count}, {width}), not {rows.shape}."
         )
     if not np.isfinite(rows).all():
         raise SurfaceError(f"Some particles have a {what} that is not finite.")
@@ -247,7 +245,7 @@ def _checked_rows(
 def _reconstruct_local(
     points: Floats, values: NDArray[np.float32] | None, cell_size: float, smoothing: int
 ) -> tuple[Floats, Indices, NDArray[np.float32] | None]:
-    """Make the corrected mesh; lengths in units of d."""
+    """Make the volume-corrected mesh, its faces and the values at its vertices; lengths in d."""
     vertices, faces = _contour(points, cell_size, smoothing)
     check_closed_manifold(faces, len(vertices))
     grid = ParticleGrid(points, COLOR_RADIUS)
@@ -255,7 +253,7 @@ def _reconstruct_local(
     kept = solid[faces[:, 0]] >= 0
     used, compact = np.unique(faces[kept], return_inverse=True)
     vertices, faces, solid = vertices[used], compact.reshape(-1, 3), solid[used]
-    # Colors belong to where the particles are, before the volume is corrected.
+    # Sample values before the volume correction, which moves vertices away from the particles.
     carried = None if values is None else grid.blend(vertices, values)
     vertices = _match_volumes(vertices, faces, solid, particle_count)
     shortest = np.linalg.norm(vertices[faces] - vertices[np.roll(faces, -1, axis=1)], axis=2).min()
@@ -263,7 +261,7 @@ def _reconstruct_local(
         raise SurfaceError(f"the mesh has an edge of {shortest:.1e} spacings.")
     error = float(_face_volumes(vertices, faces).sum()) / len(points) - 1
     if not abs(error) < MAX_VOLUME_ERROR:
-        raise SurfaceError(f"the mesh misses the volume of the particles by {error:.1%}.")
+        raise SurfaceError(f"the mesh's volume differs from the particles' by {error:.1%}.")
     check_closed_manifold(faces, len(vertices))
     return vertices, faces, carried
 
@@ -271,7 +269,7 @@ def _reconstruct_local(
 def _contour(points: Floats, cell_size: float, smoothing: int) -> tuple[Floats, Indices]:
     import pysplashsurf
 
-    # The library measures in particle radii, half of d.
+    # The library's unit is the particle radius, half of d.
     try:
         mesh, _ = pysplashsurf.reconstruction_pipeline(
             points,
@@ -292,13 +290,14 @@ def _contour(points: Floats, cell_size: float, smoothing: int) -> tuple[Floats, 
 
 
 def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indices, Floats]:
-    """Sort the shells into pieces of clay and count the particles of each.
+    """Group the shells into pieces of clay, and count the particles of each.
 
-    A piece is an outer shell with the cavities inside it. Cavities too small to be meant and
-    shells that hold no particle are left out.
+    A piece is an outer shell with the cavities inside it. Cavities smaller than `MIN_CAVITY` and
+    shells without particles are dropped.
 
     Returns:
-        The piece of every vertex or -1, shape [V], and the particle count of every piece.
+        The piece of every vertex or -1, shape [V], and the particle count of every piece, shape
+        [P].
     """
     component = connected_components(len(vertices), faces.ravel(), np.roll(faces, -1, 1).ravel())
     shells, shell = np.unique(component, return_inverse=True)
@@ -330,7 +329,7 @@ def _solids(vertices: Floats, faces: Indices, grid: ParticleGrid) -> tuple[Indic
 def _enclosing_shell(
     vertices: Floats, faces: Indices, shell: Indices, volumes: Floats, void: int
 ) -> int:
-    """Find the smallest shell of positive volume around a void, or -1."""
+    """The smallest shell with positive volume that encloses a void, or -1."""
     probe = vertices[np.flatnonzero(shell == void)[0]]
     a, b, c = (vertices[faces[:, k]] - probe for k in range(3))
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
@@ -354,7 +353,7 @@ def _face_volumes(vertices: Floats, faces: Indices) -> Floats:
 
 
 def _match_volumes(vertices: Floats, faces: Indices, solid: Indices, target: Floats) -> Floats:
-    """Offset, then scale, every piece until it holds its target volume."""
+    """Offset, then scale, every piece so that it has its target volume."""
     count = len(target)
     of_face = solid[faces[:, 0]]
     middle = (
@@ -375,7 +374,7 @@ def _match_volumes(vertices: Floats, faces: Indices, solid: Indices, target: Flo
         )
         offset = wanted
     volume = np.bincount(of_face, _face_volumes(vertices, faces), minlength=count)
-    # Films between stretched particles are thinner than the offset and turn inside out.
+    # Films between stretched particles are thinner than the offset and would turn inside out.
     spoiled = volume < target / 2
     vertices = np.where(spoiled[solid][:, None], start, vertices)
     volume = np.bincount(of_face, _face_volumes(vertices, faces), minlength=count)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""3MF, the file of 3D printing: millimeters, one mesh, a color at every corner.
+"""Writing 3MF, a file format for 3D printing: one mesh in millimeters, with vertex colors.
 
-By the *3MF Core Specification* 1.3 and the *Materials and Properties Extension* 1.2.1 of the 3MF
-Consortium. The text goes into the archive in parts, so that no copy of the whole is held.
+Follows the *3MF Core Specification* 1.3 and the *Materials and Properties Extension* 1.2.1 of the
+3MF Consortium. The text is written to the archive in chunks, to limit memory use.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02">
 <resources>
 """
 _ROWS = 20_000
+"""Number of vertices or faces per chunk of text."""
 
 
 def write_3mf(
@@ -48,9 +49,9 @@ def write_3mf(
     """Write a closed mesh as 3MF.
 
     Args:
-        file: An open file.
+        file: A file opened for writing.
         vertices: Positions [mm], shape [V, 3].
-        faces: Vertex indices, counter-clockwise from outside, shape [F, 3].
+        faces: Vertex indices, counter-clockwise seen from outside, shape [F, 3].
         colors: sRGB and alpha of the vertices, shape [V, 4].
     """
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
@@ -75,7 +76,7 @@ def _model(
         yield "</m:colorgroup>\n"
         attributes = ' pid="1" pindex="0"'
     yield f'<object id="2" type="model" name="Clay"{attributes}>\n<mesh>\n<vertices>\n'
-    # Nine digits hold single precision.
+    # Nine digits represent single precision exactly.
     for rows in _chunks(vertices):
         yield from _lines(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in rows)
     yield "</vertices>\n<triangles>\n"

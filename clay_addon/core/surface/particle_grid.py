@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Hash grid over particles: the nearest one, color means, labels that spread."""
+"""A grid over particles: nearest particles, averages of values, and label propagation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_NEIGHBOURS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+_NEIGHBORS = np.stack(np.meshgrid(*[np.arange(-1, 2)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 class ParticleGrid:
     """Finds the particles within one cell size of any point.
 
-    Cells are numbered densely inside the bounding box of the particles. That fits 64-bit numbers
-    up to two million cells a side.
+    Cells are numbered consecutively within the bounding box of the particles, which fits 64-bit
+    integers up to two million cells per side.
     """
 
     def __init__(self, points: Floats, cell_size: float) -> None:
@@ -26,12 +26,12 @@ class ParticleGrid:
 
         Args:
             points: Particle positions, shape [N, 3].
-            cell_size: Side of a cell, and the largest distance searched.
+            cell_size: Side of a cell, and the maximum search distance.
         """
         self.particle_count = len(points)
         self._points = points
         self._cell_size = cell_size
-        # A margin of two cells lets neighbors be looked up without clipping.
+        # With a margin of two cells, neighbors need no clipping.
         self._low = points.min(axis=0) - 2 * cell_size
         self._size = ((points.max(axis=0) - self._low) / cell_size).astype(np.int64) + 4
         keys = self._keys(self._cells(points))
@@ -48,7 +48,7 @@ class ParticleGrid:
             queries: Points, shape [Q, 3].
 
         Returns:
-            Particle indices, -1 where none lies within one cell size, shape [Q].
+            Particle indices, -1 if there is none within one cell size, shape [Q].
         """
         best = np.full(len(queries), -1)
         distance = np.full(len(queries), self._cell_size**2)
@@ -59,17 +59,17 @@ class ParticleGrid:
         return best
 
     def blend(self, queries: Floats, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Average particle values around points, steeply, so that borders are narrow but even.
+        """Average particle values around points with a narrow kernel, for narrow but even borders.
 
-        The weight is (1 - r^2 / R^2)^5 with R the cell size. Steeper ones give a border the zigzag
-        of the particles beside it.
+        The weight is (1 - r^2 / R^2)^5, where R is the cell size. A narrower kernel would make
+        borders follow the zigzag of the particles.
 
         Args:
             queries: Points, shape [Q, 3].
-            values: One row a particle, shape [N, C].
+            values: One row per particle, shape [N, C].
 
         Returns:
-            Values at the points, shape [Q, C]; the mean of all where no particle is near.
+            Values at the points, shape [Q, C]; the mean of all if no particle is near.
         """
         total = np.zeros((len(queries), values.shape[1]))
         weight = np.zeros(len(queries))
@@ -87,13 +87,13 @@ class ParticleGrid:
         return (total / weight[:, None]).astype(np.float32)
 
     def spread(self, labels: Indices) -> Indices:
-        """Let labelled particles pass their label on, cell by cell, to those that have none.
+        """Propagate labels, cell by cell, to particles that have none.
 
         Args:
-            labels: One label a particle, -1 for none, shape [N].
+            labels: One label per particle, -1 for none, shape [N].
 
         Returns:
-            The labels, -1 left only where no labelled particle is connected, shape [N].
+            The labels, -1 only for particles not connected to any labeled one, shape [N].
         """
         cell_label = np.full(len(self._cell_keys), -1)
         known = labels >= 0
@@ -102,12 +102,12 @@ class ParticleGrid:
         front = np.flatnonzero(cell_label >= 0)
         while len(front):
             reached = []
-            for step in _NEIGHBOURS @ strides:
-                beside = self._cell_keys[front] + step
+            for step in _NEIGHBORS @ strides:
+                neighbor = self._cell_keys[front] + step
                 place = np.minimum(
-                    np.searchsorted(self._cell_keys, beside), len(self._cell_keys) - 1
+                    np.searchsorted(self._cell_keys, neighbor), len(self._cell_keys) - 1
                 )
-                new = (self._cell_keys[place] == beside) & (cell_label[place] < 0)
+                new = (self._cell_keys[place] == neighbor) & (cell_label[place] < 0)
                 cell_label[place[new]] = cell_label[front[new]]
                 reached.append(place[new])
             front = np.unique(np.concatenate(reached))
@@ -122,13 +122,13 @@ class ParticleGrid:
         return keys
 
     def _pairs(self, queries: Floats) -> Iterator[tuple[Indices, Indices, Floats]]:
-        """Yield (query, particle, squared distance) of all pairs within one cell size."""
+        """Yield (query, particle, squared distance) for all pairs within one cell size."""
         cells = self._cells(queries)
-        for step in _NEIGHBOURS:
-            beside = cells + step
-            inside = ((beside >= 0) & (beside < self._size)).all(axis=1)
+        for step in _NEIGHBORS:
+            neighbor = cells + step
+            inside = ((neighbor >= 0) & (neighbor < self._size)).all(axis=1)
             query = np.flatnonzero(inside)
-            keys = self._keys(beside[inside])
+            keys = self._keys(neighbor[inside])
             place = np.minimum(np.searchsorted(self._cell_keys, keys), len(self._cell_keys) - 1)
             hit = self._cell_keys[place] == keys
             query, place = query[hit], place[hit]

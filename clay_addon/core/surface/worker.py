@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A thread that makes surfaces of the newest particles, so that nobody waits for it."""
+"""A thread that makes surfaces of the latest particles, so that no other thread waits."""
 
 from __future__ import annotations
 
@@ -21,26 +21,27 @@ Part = tuple[NDArray[np.floating], NDArray[np.floating]]
 """Positions, shape [N, 3], and linear RGBA, shape [N, 4], of a piece of clay."""
 
 _SETTLED_SECONDS = 0.25
+"""Without new particles for this long, the clay counts as settled [s]."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What a worker has come to."""
+    """The latest result of a worker."""
 
     surface: QuadSurface | None
-    """The newest surface, the same object as long as the clay is still; None where none could be
-    made, or none was asked for."""
+    """The latest surface, the same object as long as the clay does not move; None if it failed, or
+    none was requested."""
     problem: str
-    """What went wrong, empty where nothing did."""
+    """What went wrong; empty if nothing did."""
     settled: bool
-    """Whether it is known that the clay has not moved since."""
+    """Whether the clay is known not to have moved since."""
 
 
 class SurfaceWorker:
-    """Reconstructs, on a thread of its own, what was offered last.
+    """Reconstructs the surface of the latest particles on its own thread.
 
     Args:
-        quick: Makes the surfaces; nobody else may use it.
+        quick: Makes the surfaces; must not be used elsewhere.
     """
 
     def __init__(self, quick: QuickSurface) -> None:
@@ -52,15 +53,15 @@ class SurfaceWorker:
         self._busy = self._ended = self._still = False
         self._offered_at = 0.0
         self.seconds = 0.0
-        """How long the last surface took that was not still the one before; about that."""
+        """Running average of the time to make a surface, without unchanged ones [s]."""
         self._thread = threading.Thread(target=self._run, name="clay surface", daemon=True)
         self._thread.start()
 
     def offer(self, parts: Sequence[Part]) -> None:
-        """Hand over the newest particles, which replace those that no surface was made of yet.
+        """Request a surface of new particles, which replace those still waiting.
 
         Args:
-            parts: Pieces of clay; what is in them is copied.
+            parts: Pieces of clay; their arrays are copied.
         """
         copies = tuple((np.array(x, np.float32), np.array(c, np.float32)) for x, c in parts)
         with self._condition:
@@ -68,21 +69,21 @@ class SurfaceWorker:
             self._condition.notify_all()
 
     def finished(self) -> Finished:
-        """Tell the newest surface, without waiting for it."""
+        """The latest result, without waiting."""
         with self._condition:
             idle = self._offered is None and not self._busy
             settled = idle and time.monotonic() - self._offered_at > _SETTLED_SECONDS
             return Finished(self._finished, self._problem, self._still or settled)
 
     def wait(self, timeout: float = 60.0) -> bool:
-        """Wait until all that was offered is done; whether it was in time [s]."""
+        """Wait until all requests are done; returns whether that was within the timeout [s]."""
         with self._condition:
             return self._condition.wait_for(
                 lambda: self._ended or (self._offered is None and not self._busy), timeout
             )
 
     def end(self) -> None:
-        """End the thread, after the surface it is at."""
+        """End the thread, after the surface in progress."""
         with self._condition:
             self._ended = True
             self._condition.notify_all()
@@ -104,7 +105,7 @@ class SurfaceWorker:
             with self._condition:
                 self._still = surface is self._finished
                 if not self._still:
-                    # A thread that was held up once is not slow.
+                    # Averaged, so that a single delay has little effect.
                     share = 0.3 if self.seconds else 1.0
                     self.seconds += share * (seconds - self.seconds)
                 self._finished, self._problem = surface, problem

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A smooth density of particles on a sparse grid: blocks of 8³ nodes, only where particles are.
+"""A smooth particle density on a sparse grid: blocks of 8³ nodes, only near particles.
 
-For the processor's vector units: one row of a block is one vector. Lengths are in cells.
+Designed for the CPU's vector units: one row of a block is one vector. Lengths are in cells.
 """
 
 import warp as wp
@@ -11,45 +11,46 @@ from .....solver.core.vector_units import OPTIONS, VECTORS
 wp.set_module_options(OPTIONS)
 
 NODES = 512
-"""Nodes in a block, numbered (x · 8 + y) · 8 + z."""
-FARTHEST = float(1 << 22)
-"""Particles beyond so many cells from the origin are left out."""
+"""Number of nodes in a block, numbered (x · 8 + y) · 8 + z."""
+MAX_COORDINATE = float(1 << 22)
+"""Particles farther from the origin along any axis are ignored [cells]."""
 LEVEL = 0.5
-"""Density at the surface; half of that inside, so that a flat face lies where the clay ends."""
-THIN = 0.7
-"""Particles whose density is lower get a weight that makes up for it. Chosen so that a sheet of one
+"""Density at the surface: half the interior density, so that flat faces are in the right place."""
+THIN_DENSITY = 0.7
+"""Particles with a lower density get more weight in compensation. Chosen so that a sheet of one
 layer, a row and a single particle all keep their volume."""
 
 
 @wp.struct
 class Blocks:
-    """The sparse grid. Block 0 is the empty one, which stands for all that are missing."""
+    """The sparse grid. Block 0 is empty, and represents all missing blocks."""
 
     slot_key: wp.array[wp.int64]
-    """Of the hash table: which block is here, -1 where none."""
+    """Hash table: the key of the block in each slot, -1 if the slot is free."""
     slot_block: wp.array[int]
-    """And its number."""
+    """Hash table: the number of the block in each slot."""
     place: wp.array[wp.vec3i]
-    """Of each block, in blocks."""
-    wanted: wp.array[int]
-    """One bit for each of the 27 blocks around that the density reaches."""
-    beside: wp.array2d[int]
-    """Numbers of the 27 blocks around, 0 where missing; (x · 3 + y) · 3 + z, the middle is 13."""
+    """Position of each block [blocks]."""
+    reached: wp.array[int]
+    """One bit for each of the 27 neighboring blocks that the density reaches."""
+    neighbor: wp.array2d[int]
+    """Numbers of the 27 neighboring blocks, 0 if missing, at (x · 3 + y) · 3 + z; 13 is itself."""
     count: wp.array[int]
-    """Of blocks with the empty one; more than there is room for where that was too little."""
-    home: wp.array[int]
-    """Each particle's block, 0 where it is left out."""
+    """Number of blocks, including the empty one; exceeds the capacity if that was too small."""
+    particle_block: wp.array[int]
+    """Block of each particle, 0 if the particle is ignored."""
     mass: wp.array2d[float]
-    """Particles at each node."""
+    """Mass at each node, 1 in the interior."""
     scratch: wp.array2d[float]
     density: wp.array2d[float]
     """Smoothed mass."""
     lowest: wp.array[float]
-    """Density in a block."""
+    """Minimum density in each block."""
     highest: wp.array[float]
+    """Maximum density in each block."""
 
 
-# A hash table with open addressing. Particles ask for their block, blocks for those around them.
+# A hash table with open addressing. Particles add their block, and blocks their neighbors.
 @wp.func_native(
     """{
     typedef long long i64;
@@ -71,13 +72,13 @@ class Blocks:
                 places[3 * count] = x;
                 places[3 * count + 1] = y;
                 places[3 * count + 2] = z;
-                blocks.wanted.data[count] = 0;
+                blocks.reached.data[count] = 0;
             }
             return count++;
         }
         return numbers[s];
     };
-    // Nodes that the density of a particle reaches lie up to 4 below and 5 above its cell's.
+    // The density of a particle reaches nodes up to 4 below and 5 above that of its cell.
     auto reach = [](int n) __attribute__((always_inline)) {
         const int l = n & 7;
         return 2 | (l < 5 ? 1 : 0) | (l > 2 ? 4 : 0);
@@ -88,10 +89,10 @@ class Blocks:
         bool near = true;
         for (int k = 0; k < 3; k++) {
             const float c = inverse_cell * ((const float*)position.data)[3 * (i64)i + k];
-            near = near && c > -farthest && c < farthest;
+            near = near && c > -max_coordinate && c < max_coordinate;
             n[k] = near ? (int)__builtin_floorf(c) : 0;
         }
-        blocks.home.data[i] = 0;
+        blocks.particle_block.data[i] = 0;
         if (!near) continue;
         const int x = n[0] >> 3, y = n[1] >> 3, z = n[2] >> 3;
         if (!last || x != lx || y != ly || z != lz) {
@@ -99,24 +100,24 @@ class Blocks:
             lx = x, ly = y, lz = z;
         }
         if (count > room) break;
-        blocks.home.data[i] = last;
+        blocks.particle_block.data[i] = last;
         const int a = reach(n[0]), b = reach(n[1]), c = reach(n[2]);
         const int row = (b & 1 ? c : 0) | (b & 2 ? c << 3 : 0) | (b & 4 ? c << 6 : 0);
-        blocks.wanted.data[last] |=
+        blocks.reached.data[last] |=
             (a & 1 ? row : 0) | (a & 2 ? row << 9 : 0) | (a & 4 ? row << 18 : 0);
     }
     const int own = count;
     for (int b = 1; b < own && count <= room; b++)
         for (int k = 0; k < 27; k++)
-            if (blocks.wanted.data[b] >> k & 1)
+            if (blocks.reached.data[b] >> k & 1)
                 find(places[3 * b] + k / 9 - 1, places[3 * b + 1] + k / 3 % 3 - 1,
                      places[3 * b + 2] + k % 3 - 1, true);
     blocks.count.data[0] = count;
     if (count > room) return;
-    for (int k = 0; k < 27; k++) blocks.beside.data[k] = 0;
+    for (int k = 0; k < 27; k++) blocks.neighbor.data[k] = 0;
     for (int b = 1; b < count; b++)
         for (int k = 0; k < 27; k++)
-            blocks.beside.data[27 * b + k] =
+            blocks.neighbor.data[27 * b + k] =
                 find(places[3 * b] + k / 9 - 1, places[3 * b + 1] + k / 3 % 3 - 1,
                      places[3 * b + 2] + k % 3 - 1, false);
 }"""
@@ -125,7 +126,7 @@ def find_all_blocks(  # type: ignore[empty-body]
     particle_count: int,
     position: wp.array[wp.vec3],
     inverse_cell: float,
-    farthest: float,
+    max_coordinate: float,
     blocks: Blocks,
 ) -> None: ...
 
@@ -134,18 +135,18 @@ def find_all_blocks(  # type: ignore[empty-body]
 def find_blocks(
     particle_count: int, position: wp.array[wp.vec3], inverse_cell: float, blocks: Blocks
 ) -> None:
-    """Find the blocks that the density reaches, and which stand beside each other."""
-    find_all_blocks(particle_count, position, inverse_cell, wp.static(FARTHEST), blocks)
+    """Find the blocks that the density reaches, and the neighbors of each."""
+    find_all_blocks(particle_count, position, inverse_cell, wp.static(MAX_COORDINATE), blocks)
 
 
 CORNERS = """
     typedef long long i64;
     int node[8];
     float share[8];
-    // The eight nodes around a particle: block and place in it, and its share of each.
+    // The eight nodes around a particle, and the share of its mass that each gets.
     auto spread = [&](int i) __attribute__((always_inline)) {
-        const int b = blocks.home.data[i];
-        const int* around = blocks.beside.data + 27 * (i64)b;
+        const int b = blocks.particle_block.data[i];
+        const int* around = blocks.neighbor.data + 27 * (i64)b;
         int low[3];
         float part[3];
         for (int k = 0; k < 3; k++) {
@@ -163,7 +164,7 @@ CORNERS = """
         }
     };
 """
-"""C++ that finds the nodes around a particle."""
+"""C++ code that finds the nodes around a particle."""
 
 
 @wp.func_native(
@@ -173,7 +174,7 @@ CORNERS = """
     for (int b = 0; b < blocks.count.data[0]; b++)
         for (int k = 0; k < 512; k++) blocks.mass.data[512 * (i64)b + k] = 0.f;
     for (int i = 0; i < particle_count; i++) {
-        if (blocks.home.data[i] == 0) continue;
+        if (blocks.particle_block.data[i] == 0) continue;
         spread(i);
         float weight = 1.f;
         if (thin > 0.f) {
@@ -204,17 +205,26 @@ def splat_mass(
     thin: float,
     blocks: Blocks,
 ) -> None:
-    """Share particles out among nodes; with more weight where the density before was thin."""
+    """Distribute the particles' mass to the nodes.
+
+    Args:
+        particle_count: Number of particles.
+        position: Particle positions.
+        inverse_cell: Number of cells per unit of length.
+        amount: Mass of a particle.
+        thin: Particles with a lower density before get more weight; 0 for equal weights.
+        blocks: The grid.
+    """
     splat_all(particle_count, position, inverse_cell, amount, thin, blocks)
 
 
-# A binomial kernel of nine nodes, with a variance of two cells. Adding neighbors eight times over
-# makes it along x and y, where rows are whole vectors.
+# A binomial kernel of nine nodes, with a variance of two cells². Along x and y, where rows are
+# whole vectors, it results from adding neighbors eight times.
 BLUR = (
     VECTORS
     + """
     const int step = axis == 0 ? 9 : axis == 1 ? 3 : 1;
-    const int* around = blocks.beside.data + 27 * (long long)block + 13;
+    const int* around = blocks.neighbor.data + 27 * (long long)block + 13;
     const float* a = source.data + 512 * (long long)around[-step];
     const float* b = source.data + 512 * (long long)block;
     const float* c = source.data + 512 * (long long)around[step];
@@ -270,5 +280,5 @@ def blur_block(  # type: ignore[empty-body]
 
 @wp.kernel(enable_backward=False)
 def blur(axis: int, source: wp.array2d[float], target: wp.array2d[float], blocks: Blocks) -> None:
-    """Smooth along an axis."""
+    """Smooth a block along an axis."""
     blur_block(wp.tid(), axis, source, target, blocks)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A net of quads around what is denser than the level.
+"""A net of quads around the region where the density exceeds the level.
 
-Dual to the grid: one vertex in every cell that the surface cuts, one quad around every grid edge
-that it crosses (Gibson, "Constrained Elastic Surface Nets", MICCAI 1998, 10.1007/BFb0056277).
+Dual to the grid: one vertex in every cell that the surface cuts, and one quad around every grid
+edge that it crosses (Gibson, "Constrained Elastic Surface Nets", MICCAI 1998,
+doi:10.1007/BFb0056277).
 """
 
 import warp as wp
@@ -15,50 +16,50 @@ wp.set_module_options(OPTIONS)
 
 @wp.struct
 class Net:
-    """The net, and the cells it lies in. A cell has the number of its lowest node."""
+    """The net, and the cells it passes through. A cell has the number of its lowest node."""
 
     one_sheet: wp.array[wp.uint8]
-    """For each pattern of inside corners, whether one sheet of surface cuts the cell."""
+    """For each pattern of inside corners, whether a single sheet of surface cuts the cell."""
     cut: wp.array2d[wp.uint8]
-    """One bit for each cell of a block that the surface cuts, 64 rows a block."""
+    """One bit for each cell of a block that the surface cuts, 64 rows per block."""
     painted: wp.array[int]
-    """Number of a block among those that have colors, from 1; 0 where it has none."""
+    """Number of each block among those with colors, starting at 1; 0 for the others."""
     shows: wp.array[wp.uint8]
-    """Whether a block's particles lend color to any that has."""
+    """Whether a block's particles contribute to the colors of any block."""
     count: wp.array[int]
-    """Of vertices, blocks with colors, edges and quads."""
+    """Numbers of vertices, blocks with colors, edges and quads."""
     vertex: wp.array2d[int]
-    """Number of the vertex in each cell that is cut."""
+    """Number of the vertex in each cut cell."""
     cell: wp.array[int]
     """Block · 512 + cell of each vertex."""
     pattern: wp.array[wp.uint8]
-    """Inside corners of each vertex's cell."""
+    """Bits of the inside corners of each vertex's cell."""
     position: wp.array[wp.vec4]
-    """Of the vertices [cells]."""
-    beside: wp.array2d[int]
-    """Vertices that share an edge; the vertex itself where there are fewer than 6."""
+    """Positions of the vertices [cells]."""
+    neighbor: wp.array2d[int]
+    """Up to 6 vertices that share an edge with each vertex, padded with the vertex itself."""
     edge: wp.array2d[int]
-    """Vertices at both ends."""
+    """Vertices at both ends of each edge."""
     edge_of: wp.array2d[int]
-    """Edge through a vertex's upper face along x, y and z."""
+    """Edges from each vertex through the upper faces of its cell along x, y and z."""
     quad: wp.array2d[int]
-    """Vertices, counter-clockwise from outside."""
+    """Vertices of each quad, counter-clockwise seen from outside."""
     quad_edge: wp.array2d[int]
     """Edge from each corner of a quad to the next."""
     paint: wp.array2d[wp.vec4]
-    """Colors at nodes, each particle's times its share."""
+    """Sums of particle colors times shares, at nodes."""
     color: wp.array[wp.vec4]
-    """Of the vertices, linear RGBA."""
+    """Linear RGBA of the vertices."""
     scratch: wp.array2d[wp.vec4]
-    """Two buffers for the vertices' values."""
+    """Two buffers for values of the vertices."""
     kept: wp.array[wp.vec4]
-    """And a third."""
+    """A third buffer."""
 
 
-LOOK = """
-    // A place x, y, z from -1 to 8 in a block, which may be in a block beside it.
-    auto look = [&](i64 b, int x, int y, int z) __attribute__((always_inline)) {
-        const i64 home = blocks.beside.data[27 * b + 9 * ((x + 8) >> 3) + 3 * ((y + 8) >> 3)
+NODE_LOOKUP = """
+    // The node at x, y, z from -1 to 8 relative to a block, which may be in a neighboring block.
+    auto node_at = [&](i64 b, int x, int y, int z) __attribute__((always_inline)) {
+        const i64 home = blocks.neighbor.data[27 * b + 9 * ((x + 8) >> 3) + 3 * ((y + 8) >> 3)
                                             + ((z + 8) >> 3)];
         return 512 * home + (x & 7) * 64 + (y & 7) * 8 + (z & 7);
     };
@@ -68,17 +69,18 @@ LOOK = """
     auto pattern_of = [&](i64 b, int x, int y, int z) {
         int pattern = 0;
         for (int k = 0; k < 8; k++)
-            pattern |= is_inside(look(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))) << k;
+            pattern |= is_inside(node_at(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))) << k;
         return pattern;
     };
 """
 
 
-# Skin that touches skin is parted until one sheet of surface cuts each cell: cells with two lose
-# their shallowest inside corner, so the net is closed and manifold (`solver.surface_net`).
+# Touching sheets of surface are separated until a single sheet cuts each cell: cells with two lose
+# their inside corner of least density. So the net is closed and manifold (see
+# `solver.geometry.surface_net`).
 @wp.func_native(
     "{ typedef long long i64;"
-    + LOOK
+    + NODE_LOOKUP
     + """
     const int block_count = blocks.count.data[0];
     typedef unsigned char u8;
@@ -89,19 +91,19 @@ LOOK = """
         if (b == 0) continue;
         float low = 1e30f, high = -1e30f;
         for (int k = 0; k < 8; k++) {
-            const int beside = blocks.beside.data[27 * b + 13 + 9 * (k >> 2) + 3 * (k >> 1 & 1)
+            const int neighbor = blocks.neighbor.data[27 * b + 13 + 9 * (k >> 2) + 3 * (k >> 1 & 1)
                                                   + (k & 1)];
-            const float l = blocks.lowest.data[beside], h = blocks.highest.data[beside];
+            const float l = blocks.lowest.data[neighbor], h = blocks.highest.data[neighbor];
             low = l < low ? l : low;
             high = h > high ? h : high;
         }
         if (high < level || low >= level) continue;
         int inside[9][9];
         for (int x = 0; x < 9; x++) for (int y = 0; y < 9; y++) {
-            const float* line = blocks.density.data + look(b, x, y, 0);
+            const float* line = blocks.density.data + node_at(b, x, y, 0);
             int bits = 0;
             for (int z = 0; z < 8; z++) bits |= (line[z] >= level ? 1 : 0) << z;
-            inside[x][y] = bits | is_inside(look(b, x, y, 8)) << 8;
+            inside[x][y] = bits | is_inside(node_at(b, x, y, 8)) << 8;
         }
         for (int x = 0; x < 8; x++) for (int y = 0; y < 8; y++) {
             const int *here = inside[x] + y, *next = inside[x + 1] + y;
@@ -128,15 +130,15 @@ LOOK = """
                 float least = 1e30f;
                 for (int k = 0; k < 8; k++) {
                     const float d = blocks.density.data[
-                        look(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))];
+                        node_at(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))];
                     if (d >= level && d < least) least = d, shallowest = k;
                 }
                 const int nx = x + (shallowest >> 2), ny = y + (shallowest >> 1 & 1),
                           nz = z + (shallowest & 1);
-                blocks.density.data[look(b, nx, ny, nz)] = 0.999f * level;
-                // The cells around that corner, each as part of the block it belongs to.
+                blocks.density.data[node_at(b, nx, ny, nz)] = 0.999f * level;
+                // Update the cells around that corner, each in the block it belongs to.
                 for (int k = 0; k < 8; k++) {
-                    const i64 cell = look(b, nx - (k >> 2), ny - (k >> 1 & 1), nz - (k & 1));
+                    const i64 cell = node_at(b, nx - (k >> 2), ny - (k >> 1 & 1), nz - (k & 1));
                     const i64 home = cell >> 9;
                     if (home == 0) continue;
                     const int pattern = pattern_of(home, cell >> 6 & 7, cell >> 3 & 7, cell & 7);
@@ -153,16 +155,16 @@ LOOK = """
         for (int row = 0; row < 64; row++) here += __builtin_popcount(cut[64 * b + row]);
         vertex_count += here;
         for (int k = 0; here && k < 8; k++) {
-            const int beside = blocks.beside.data[27 * b + 13 + 9 * (k >> 2) + 3 * (k >> 1 & 1)
+            const int neighbor = blocks.neighbor.data[27 * b + 13 + 9 * (k >> 2) + 3 * (k >> 1 & 1)
                                                   + (k & 1)];
-            int& number = net.painted.data[beside];
-            if (beside && !number) number = ++painted_count;
+            int& number = net.painted.data[neighbor];
+            if (neighbor && !number) number = ++painted_count;
         }
     }
     for (i64 b = 0; b < block_count; b++) {
         u8 shows = 0;
         for (int k = 0; k < 8; k++)
-            shows |= net.painted.data[blocks.beside.data[
+            shows |= net.painted.data[blocks.neighbor.data[
                 27 * b + 13 + 9 * (k >> 2) + 3 * (k >> 1 & 1) + (k & 1)]] != 0;
         net.shows.data[b] = shows;
     }
@@ -175,13 +177,13 @@ def cut_all_cells(level: float, blocks: Blocks, net: Net) -> None: ...  # type: 
 
 @wp.kernel(enable_backward=False)
 def cut_cells(blocks: Blocks, net: Net) -> None:
-    """Find the cells that the surface cuts; each is cut by one sheet."""
+    """Find the cells that the surface cuts, and ensure that one sheet cuts each."""
     cut_all_cells(wp.static(LEVEL), blocks, net)
 
 
 @wp.func_native(
     "{ typedef long long i64;"
-    + LOOK
+    + NODE_LOOKUP
     + """
     int v = 0;
     for (i64 b = 1; b < blocks.count.data[0]; b++) for (int row = 0; row < 64; row++)
@@ -190,10 +192,10 @@ def cut_cells(blocks: Blocks, net: Net) -> None:
             float d[8];
             int pattern = 0;
             for (int k = 0; k < 8; k++) {
-                d[k] = blocks.density.data[look(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))];
+                d[k] = blocks.density.data[node_at(b, x + (k >> 2), y + (k >> 1 & 1), z + (k & 1))];
                 pattern |= (d[k] >= level ? 1 : 0) << k;
             }
-            // The mean of where the surface crosses the cell's edges.
+            // The mean of the points where the surface crosses the cell's edges.
             float sum[3] = {0.f, 0.f, 0.f};
             int crossings = 0;
             for (int axis = 0; axis < 3; axis++) {
@@ -219,23 +221,23 @@ def cut_cells(blocks: Blocks, net: Net) -> None:
             net.pattern.data[v] = (unsigned char)pattern;
             v++;
         }
-    // Corners of a cell's face along an axis: the lower ones; the upper are shifted by its bit.
+    // Corners of a cell's lower face along each axis; for the upper face, shift by the axis' bit.
     const int lower[3] = {0x0f, 0x33, 0x55};
     int edges = 0;
     for (i64 u = 0; u < v; u++) {
         const i64 cell = net.cell.data[u], b = cell >> 9;
         const int at[3] = {(int)(cell >> 6 & 7), (int)(cell >> 3 & 7), (int)(cell & 7)};
         const int pattern = net.pattern.data[u];
-        int* beside = net.beside.data + 6 * u;
+        int* neighbor = net.neighbor.data + 6 * u;
         for (int axis = 0; axis < 3; axis++) for (int up = 0; up < 2; up++) {
             const int face = up ? lower[axis] << (4 >> axis) : lower[axis];
-            int& other = beside[2 * axis + up];
+            int& other = neighbor[2 * axis + up];
             other = (int)u;
             if (up) net.edge_of.data[3 * u + axis] = -1;
             if ((pattern & face) == 0 || (pattern & face) == face) continue;
             int to[3] = {at[0], at[1], at[2]};
             to[axis] += up ? 1 : -1;
-            other = net.vertex.data[look(b, to[0], to[1], to[2])];
+            other = net.vertex.data[node_at(b, to[0], to[1], to[2])];
             if (!up) continue;
             net.edge.data[2 * (i64)edges] = (int)u;
             net.edge.data[2 * (i64)edges + 1] = other;
@@ -256,7 +258,7 @@ def cut_cells(blocks: Blocks, net: Net) -> None:
                 int to[3] = {at[0], at[1], at[2]};
                 to[p] -= k < 3;
                 to[q] -= k > 1;
-                around[k] = net.vertex.data[look(b, to[0], to[1], to[2])];
+                around[k] = net.vertex.data[node_at(b, to[0], to[1], to[2])];
             }
             const int* edge_of = net.edge_of.data;
             const int sides[4] = {edge_of[3 * (i64)around[1] + p], edge_of[3 * (i64)around[2] + q],
@@ -279,8 +281,8 @@ def join_all(  # type: ignore[empty-body]
 
 @wp.kernel(enable_backward=False)
 def join_vertices(origin: wp.vec3i, blocks: Blocks, net: Net) -> None:
-    """Put a vertex in each cell that is cut, and join those of cells that share a face.
+    """Put a vertex in each cut cell, and connect those of cells that share a face.
 
-    Positions count from the corner of the block ``origin``, so that they keep their precision.
+    Positions are relative to the corner of the block ``origin``, to preserve precision.
     """
     join_all(wp.static(LEVEL), origin, blocks, net)

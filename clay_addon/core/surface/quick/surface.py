@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A smooth surface of particle clay that keeps up with clay worked live."""
+"""A smooth surface of particle clay, fast enough for live sculpting."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ..exact import SurfaceError
 from . import field as quick_surface_field
 from . import finish as quick_surface_finish
 from . import net as quick_surface_net
-from .field import NODES, THIN, Blocks, blur, find_blocks, splat_mass
+from .field import NODES, THIN_DENSITY, Blocks, blur, find_blocks, splat_mass
 from .finish import paint_vertices, smooth
 from .net import Net, cut_cells, join_vertices
 
-# Lengths below are in units of the particle distance.
+# Lengths below are in units of the particle spacing.
 CELL_SIZE = 0.5
 """Side of a cell of the grid."""
 SMOOTHING = 12
-"""Passes that flatten the trace of the particles."""
-FARTHEST_SMOOTHED = 0.12
-"""They move no vertex by more than this, so that a crumb does not shrink to nothing."""
+"""Number of passes that smooth out the particles."""
+MAX_SMOOTHING_DISTANCE = 0.12
+"""Smoothing moves no vertex farther than this, so that crumbs do not vanish."""
 COLOR_SMOOTHING = 2
-"""Passes that soften borders between colors."""
+"""Number of passes that soften borders between colors."""
 STILL = 0.005
-"""While no particle has moved by more than this the surface stays as it is."""
+"""The surface is kept while no particle has moved farther than this along any axis."""
 MAX_BLOCK_COUNT = 1 << 16
-"""More blocks than this, half a gigabyte, are not made: two million particles in one piece, or six
+"""Maximum number of blocks, half a gigabyte: enough for two million particles in one piece, or six
 thousand scattered ones."""
 
 
@@ -42,35 +42,35 @@ class QuadSurface:
     vertices: NDArray[np.float32]
     """Vertex positions, shape [V, 3]."""
     faces: NDArray[np.int32]
-    """Vertices of the quads, counter-clockwise from outside, shape [F, 4]."""
+    """Vertex indices of the quads, counter-clockwise seen from outside, shape [F, 4]."""
     colors: NDArray[np.float32]
     """Linear RGBA of the vertices, shape [V, 4]."""
     edges: NDArray[np.int32]
-    """Vertices at both ends of each edge, shape [E, 2]."""
+    """Vertex indices at both ends of each edge, shape [E, 2]."""
     face_edges: NDArray[np.int32]
     """Edge from each corner of a quad to the next, shape [F, 4]."""
 
     @property
     def triangles(self) -> NDArray[np.int64]:
-        """The quads cut in two, shape [2 F, 3]."""
+        """The quads split into triangles, shape [2 F, 3]."""
         return self.faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3).astype(np.int64)
 
 
 class QuickSurface:
-    """Makes surfaces of one clay, frame after frame, in a few milliseconds.
+    """Makes the surface of clay, frame after frame, in a few milliseconds each.
 
-    A density of the particles, smoothed over three quarters of their distance, is contoured by a
-    net of quads (Gibson 1998, doi:10.1007/BFb0056277) and its last bumps are smoothed away. Half of
-    the density inside is where a flat face lies, so nothing has to be moved afterwards. Particles
-    at thin parts, where the density falls short, weigh more. All runs on one thread of the
-    processor, and other Python threads run meanwhile.
+    The particle density, smoothed over three quarters of a spacing, is contoured by a net of quads
+    (Gibson 1998, doi:10.1007/BFb0056277), and remaining bumps are smoothed away. The contour is at
+    half the interior density, where flat faces belong, so no offset is needed. Particles of thin
+    parts, where the density is too low, get more weight. Everything runs on one CPU thread, and
+    other Python threads can run meanwhile.
 
         quick = QuickSurface(spacing=0.005)
         surface = quick.reconstruct(positions, colors)
 
-    Limitations: blocks lose 2 to 3 % of their volume at rounded edges; sheets of one layer come out
-    up to a third too thick, and crumbs of few particles miss their volume by up to a third. What
-    comes closer than about one spacing melts together. `surface.reconstruct` is exact.
+    Limitations: blocks lose 2 to 3 % of their volume at rounded edges; sheets of one layer are up
+    to a third too thick, and the volume of small crumbs is off by up to a third. Parts closer than
+    about one spacing merge. `exact.reconstruct` is exact.
 
     Args:
         spacing: Distance between neighboring particles, in the unit of the positions.
@@ -88,19 +88,19 @@ class QuickSurface:
         self._net.one_sheet = wp.array(one_sheet().astype(np.uint8), device="cpu")
         self._net.count = _zeros(4)
         self._blocks.count = _zeros(1)
-        self._blocks.home = _zeros(0)
+        self._blocks.particle_block = _zeros(0)
         self._make_blocks(256)
         self._make_net(0, 0)
 
     def reconstruct(self, positions: ArrayLike, colors: ArrayLike) -> QuadSurface:
-        """Make the surface of the clay as it is now.
+        """Make the surface of the clay.
 
         Args:
-            positions: Of the particles, shape [N, 3]. Those that are not finite are left out.
+            positions: Particle positions, shape [N, 3]; those that are not finite are ignored.
             colors: Linear RGBA of the particles, 0..1, shape [N, 4]; likewise.
 
         Returns:
-            The surface; the same object as before while nothing has moved. Its arrays are its own.
+            The surface; the same object as before while nothing has moved. It shares no arrays.
 
         Raises:
             SurfaceError: Shapes do not match, or the particles are scattered too widely.
@@ -129,18 +129,18 @@ class QuickSurface:
 
     def _reconstruct(self, points: NDArray[np.float32], tints: NDArray[np.float32]) -> QuadSurface:
         blocks, net = self._blocks, self._net
-        # What a particle fills, in cells, and cells in the unit of the positions.
+        # Volume of a particle [cells], and cells per unit of length.
         filled, inverse = CELL_SIZE**-3, 1.0 / (CELL_SIZE * self.spacing)
         position = wp.array(points, dtype=wp.vec3, device="cpu", copy=False)
         color = wp.array(tints, dtype=wp.vec4, device="cpu", copy=False)
         particle_count = len(points)
-        if particle_count > len(blocks.home):
-            blocks.home = _zeros(particle_count)
+        if particle_count > len(blocks.particle_block):
+            blocks.particle_block = _zeros(particle_count)
         _launch(find_blocks, particle_count, position, inverse, blocks)
         while (block_count := int(blocks.count.numpy()[0])) > len(blocks.place):
             self._make_blocks(2 * len(blocks.place))
             _launch(find_blocks, particle_count, position, inverse, blocks)
-        for thin in (0.0, THIN):
+        for thin in (0.0, THIN_DENSITY):
             _launch(splat_mass, particle_count, position, inverse, filled, thin, blocks)
             for axis, source, target in (
                 (0, blocks.mass, blocks.scratch),
@@ -155,7 +155,7 @@ class QuickSurface:
         origin = blocks.place.numpy()[1].tolist() if block_count > 1 else (0, 0, 0)
         _launch(join_vertices, wp.vec3i(*origin), blocks, net)
         _launch(paint_vertices, particle_count, position, color, inverse, blocks, net)
-        _launch(smooth, SMOOTHING, FARTHEST_SMOOTHED / CELL_SIZE, net.position, net)
+        _launch(smooth, SMOOTHING, MAX_SMOOTHING_DISTANCE / CELL_SIZE, net.position, net)
         _launch(smooth, COLOR_SMOOTHING, 0.0, net.color, net)
         edge_count, quad_count = net.count.numpy()[2:].tolist()
         corner = 8.0 * np.array(origin, np.float64)
@@ -179,8 +179,8 @@ class QuickSurface:
         blocks.slot_key = _zeros(slots, wp.int64)
         blocks.slot_block = _zeros(slots)
         blocks.place = _zeros(room, wp.vec3i)
-        blocks.wanted = _zeros(room)
-        blocks.beside = _zeros((room, 27))
+        blocks.reached = _zeros(room)
+        blocks.neighbor = _zeros((room, 27))
         for name in ("mass", "scratch", "density"):
             setattr(blocks, name, _zeros((room, NODES), float))
         for name in ("lowest", "highest"):
@@ -194,23 +194,23 @@ class QuickSurface:
         net = self._net
         net.cell = _zeros(vertices)
         net.pattern = _zeros(vertices, wp.uint8)
-        net.beside = _zeros((vertices, 6))
+        net.neighbor = _zeros((vertices, 6))
         net.edge_of = _zeros((vertices, 3))
-        # A vertex brings an edge and a quad along each axis at most.
+        # A vertex adds at most one edge and one quad per axis.
         net.edge = _zeros((3 * vertices, 2))
         for name in ("quad", "quad_edge"):
             setattr(net, name, _zeros((3 * vertices, 4)))
         for name in ("position", "color", "kept"):
             setattr(net, name, _zeros(vertices, wp.vec4))
         net.scratch = _zeros((2, vertices), wp.vec4)
-        # Blocks are numbered from 1.
+        # Painted blocks are numbered from 1.
         net.paint = _zeros((painted + 1, NODES), wp.vec4)
 
 
 def load_kernels() -> None:
-    """Compile the kernels, or load them: seconds the first time on a machine, then milliseconds.
+    """Compile or load the kernels: seconds the first time on a machine, then milliseconds.
 
-    To be called by a thread that alone loads kernels at that time.
+    No other thread may load kernels at the same time.
     """
     for module in (quick_surface_field, quick_surface_net, quick_surface_finish):
         wp.load_module(module, device="cpu")

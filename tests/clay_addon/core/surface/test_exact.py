@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reconstructed surface: closed, of the right volume, smooth, in the right colors."""
+"""The reconstructed surface is closed and smooth, with the right volume and colors."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def ball(radius: float) -> np.ndarray:
 
 
 def moved(points: np.ndarray, distance: float) -> np.ndarray:
-    """The same particles further along x."""
+    """The particles shifted along x."""
     return points + np.array([distance, 0, 0])
 
 
 def assert_shippable(surface: Surface, volume: float, *, tolerance: float = 0.003) -> None:
-    """Hold what every exported mesh must hold, by our own check and by trimesh."""
+    """Check what must hold for every exported mesh, with our own check and with trimesh."""
     surface.check()
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     assert mesh.is_watertight
@@ -46,7 +46,7 @@ def assert_shippable(surface: Surface, volume: float, *, tolerance: float = 0.00
     assert np.isfinite(surface.vertices).all()
     assert mesh.volume > 0
     assert surface.volume == pytest.approx(volume, rel=tolerance)
-    # The same once the vertices went through a file's float32.
+    # It must still hold after rounding to a file's float32.
     local = (surface.vertices - surface.vertices.mean(axis=0)) / np.cbrt(volume)
     merged = trimesh.Trimesh(local.astype(np.float32), surface.faces, process=True)
     assert merged.is_watertight
@@ -71,7 +71,7 @@ SHAPES = {
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_mesh_is_closed_and_of_the_particles_volume(name: str) -> None:
-    """Every kind of clay gives a closed mesh that holds N d^3 within 0.3 %."""
+    """Make a closed mesh with a volume of N d^3 within 0.3 % for every kind of clay."""
     points = SHAPES[name]
     assert_shippable(reconstruct(points, 1.0), len(points))
 
@@ -79,7 +79,7 @@ def test_mesh_is_closed_and_of_the_particles_volume(name: str) -> None:
 @pytest.mark.parametrize("spacing", [1e-4, 0.005, 3.0, 100.0])
 @pytest.mark.parametrize("offset", [0.0, 1000.0])
 def test_scale_and_place_do_not_matter(spacing: float, offset: float) -> None:
-    """The mesh of a clay is the same in units of its spacing, from 0.1 mm to 100 m."""
+    """Make the same mesh in units of the spacing, from 0.1 mm to 100 m."""
     points = ball(4)
     reference = reconstruct(points, 1.0)
     elsewhere = reconstruct((points + offset) * spacing, spacing)
@@ -102,7 +102,7 @@ def test_scale_and_place_do_not_matter(spacing: float, offset: float) -> None:
 def test_random_clouds_never_give_a_broken_mesh(
     count: int, density: float, grain: float, flatten: float, seed: int
 ) -> None:
-    """A cloud of any density, on a lattice or off, flat or not, gives a closed mesh."""
+    """Make a closed mesh for clouds of any density, on a lattice or not, flat or not."""
     points = np.random.default_rng(seed).uniform(0, 1, (count, 3)) * np.cbrt(count / density)
     if grain:
         points = np.round(points / grain) * grain
@@ -113,10 +113,10 @@ def test_random_clouds_never_give_a_broken_mesh(
 @pytest.mark.parametrize("density", [0.1, 0.6, 1.0, 1.4, 1.8, 3.0])
 @pytest.mark.parametrize("grain", [0.0, 0.5, 1.0])
 def test_large_random_clouds_give_a_closed_mesh(density: float, grain: float) -> None:
-    """Thousands of particles at random, from dust to overfull, give a closed mesh.
+    """Make a closed mesh for thousands of random particles, from sparse to overfull.
 
-    Around 1.5 particles a cell, voids close up while they are smoothed; what is left of them must
-    not be taken for clay.
+    Around 1.5 particles per cell, smoothing collapses voids; their remains must not be mistaken for
+    clay.
     """
     points = np.random.default_rng(5).uniform(0, np.cbrt(3000 / density), (3000, 3))
     if grain:
@@ -133,12 +133,12 @@ def test_large_random_clouds_give_a_closed_mesh(density: float, grain: float) ->
 def test_few_particles_anywhere_give_a_closed_mesh(
     points: list[tuple[float, float, float]],
 ) -> None:
-    """A handful of particles in any arrangement gives a closed mesh of their volume."""
+    """Make a closed mesh with the right volume for a few particles in any arrangement."""
     assert_shippable(reconstruct(points, 1.0), len(points), tolerance=0.01)
 
 
-def test_each_piece_holds_its_own_particles() -> None:
-    """A block, a ball and a single grain each come out with the volume of their own particles."""
+def test_each_piece_has_the_volume_of_its_particles() -> None:
+    """Give a block, a ball and a single grain the volume of their own particles."""
     points = SHAPES["pieces"]
     surface = reconstruct(points, 1.0)
     label = connected_components(
@@ -153,7 +153,7 @@ def test_each_piece_holds_its_own_particles() -> None:
 
 
 def test_bodies_that_touch_become_one_shell() -> None:
-    """Two balls pressed together come out as one shell, two apart as two."""
+    """Make one shell of two balls pressed together, and two of separate ones."""
 
     def shell_count(gap: float) -> int:
         surface = reconstruct(np.concatenate([ball(5), moved(ball(5), 10 + gap)]), 1.0)
@@ -168,7 +168,7 @@ def test_bodies_that_touch_become_one_shell() -> None:
 
 
 def test_hollow_stays_hollow_and_small_voids_are_filled() -> None:
-    """A hollow of eight spacings stays; where a few particles are missing, clay closes."""
+    """Keep a hollow of eight spacings, and fill voids where a few particles are missing."""
     hollow = reconstruct(SHAPES["hollow"], 1.0)
     inner = np.abs(hollow.vertices).max(axis=1) < 5.5
     assert inner.any()
@@ -184,7 +184,7 @@ def test_hollow_stays_hollow_and_small_voids_are_filled() -> None:
 
 
 def test_surface_is_smooth_and_keeps_edges() -> None:
-    """Bumps stay below 0.03 d on a flat face; an edge is cut by less than 0.65 d."""
+    """Keep bumps below 0.03 d on a flat face, and cut edges by less than 0.65 d."""
     surface = reconstruct(
         lattice(12, 12, 12) + np.random.default_rng(2).normal(0, 0.05, (1728, 3)), 1.0
     )
@@ -195,8 +195,8 @@ def test_surface_is_smooth_and_keeps_edges() -> None:
     assert to_edge[np.abs(surface.vertices[:, 1]) < 3].min() < 0.65
 
 
-def test_more_smoothing_flattens_the_trace_of_the_particles() -> None:
-    """The steps of a ball cut from a lattice get lower with more smoothing passes."""
+def test_more_smoothing_makes_the_surface_smoother() -> None:
+    """Lower the steps of a ball cut from a lattice with more smoothing passes."""
     points = lattice(17, 17, 17)
     points = points[np.linalg.norm(points, axis=1) < 8]
     spread = [
@@ -208,7 +208,7 @@ def test_more_smoothing_flattens_the_trace_of_the_particles() -> None:
 
 
 def test_colors_meet_in_a_narrow_border() -> None:
-    """Beyond 0.9 d from where two colors meet no vertex carries a trace of the other."""
+    """Keep colors pure beyond 0.9 d from the border between two of them."""
     points = lattice(16, 8, 8)
     red, blue = (0.8, 0.05, 0.02, 1.0), (0.02, 0.1, 0.7, 1.0)
     surface = reconstruct(points, 1.0, colors=np.where(points[:, :1] < 0, red, blue))
@@ -224,7 +224,7 @@ def test_colors_meet_in_a_narrow_border() -> None:
 
 
 def test_colors_stay_within_those_of_the_particles() -> None:
-    """No vertex color leaves the range of the particles' colors."""
+    """Keep vertex colors within the range of the particles' colors."""
     colors = np.random.default_rng(3).uniform(0.2, 0.6, (len(SHAPES["torn"]), 4))
     tint = reconstruct(SHAPES["torn"], 1.0, colors=colors).colors
     assert tint is not None
@@ -233,7 +233,7 @@ def test_colors_stay_within_those_of_the_particles() -> None:
 
 
 def test_the_same_particles_give_the_same_mesh() -> None:
-    """Reconstructing twice gives the same vertices up to rounding, and the same volume."""
+    """Make the same number of vertices and the same volume twice."""
     first, second = (reconstruct(SHAPES["touching"], 1.0) for _ in range(2))
     assert len(first.vertices) == len(second.vertices)
     assert first.volume == pytest.approx(second.volume, rel=1e-6)
@@ -256,13 +256,13 @@ def test_the_same_particles_give_the_same_mesh() -> None:
 def test_bad_input_is_named(
     positions: object, spacing: float, colors: object, message: str
 ) -> None:
-    """Input that has no surface is refused with what is wrong about it."""
+    """Refuse input that has no surface, and say what is wrong with it."""
     with pytest.raises(SurfaceError, match=message):
         reconstruct(positions, spacing, colors=colors)  # type: ignore[arg-type]
 
 
 def test_negative_smoothing_is_refused() -> None:
-    """A negative number of smoothing passes is refused."""
+    """Refuse a negative number of smoothing passes."""
     with pytest.raises(SurfaceError, match="smoothing"):
         reconstruct([[0, 0, 0]], 1.0, smoothing=-1)
 
@@ -277,19 +277,19 @@ TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
         (TETRAHEDRON[:3], "3 edges without a partner"),
         (np.concatenate([TETRAHEDRON[:3], TETRAHEDRON[3:, ::-1]]), "3 repeated"),
         (np.concatenate([TETRAHEDRON, TETRAHEDRON]), "12 repeated"),
-        (np.concatenate([TETRAHEDRON, [[3, 3, 3]]]), "3 edges of no length"),
+        (np.concatenate([TETRAHEDRON, [[3, 3, 3]]]), "3 edges of zero length"),
         (np.concatenate([TETRAHEDRON, np.array([0, 4, 5, 6])[TETRAHEDRON]]), "1 vertices"),
     ],
 )
 def test_check_finds_faults(faces: np.ndarray, message: str) -> None:
-    """Holes, flipped and doubled faces and pinched vertices are found and counted."""
+    """Find and count holes, flipped and doubled faces, and pinched vertices."""
     check_closed_manifold(TETRAHEDRON, 4)
     with pytest.raises(SurfaceError, match=message):
         check_closed_manifold(faces, 7)
 
 
 def test_nearest_particle_agrees_with_brute_force() -> None:
-    """The grid finds the nearest particle, and none beyond its cell size."""
+    """Find the nearest particle, and none beyond the cell size."""
     rng = np.random.default_rng(4)
     points, queries = rng.uniform(0, 6, (300, 3)), rng.uniform(-2, 8, (500, 3))
     distance = np.linalg.norm(queries[:, None] - points, axis=2)
@@ -298,7 +298,7 @@ def test_nearest_particle_agrees_with_brute_force() -> None:
 
 
 def test_labels_spread_through_connected_particles_only() -> None:
-    """A label reaches every particle of its own body and none of another."""
+    """Propagate a label to every particle of its own body and to none of another."""
     points = np.concatenate([lattice(9, 3, 3), moved(lattice(9, 3, 3), 30)])
     labels = np.full(len(points), -1)
     labels[0] = 7

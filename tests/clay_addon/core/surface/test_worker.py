@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The thread that makes surfaces: the newest particles win, and nobody waits for it."""
+"""The thread that makes surfaces: the latest particles win, and no other thread waits."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactile_clay.clay_addon.core.surface.worker import SurfaceWorker
 
 
 class Slow:
-    """Makes "surfaces" that are the first coordinate, when it is let."""
+    """Makes "surfaces", which are the first coordinate, whenever the test lets it."""
 
     def __init__(self) -> None:
         self.let = threading.Semaphore(0)
@@ -22,7 +22,7 @@ class Slow:
         self.made: list[float] = []
 
     def reconstruct(self, positions: np.ndarray, colors: np.ndarray) -> Any:
-        """Wait until let, then make one; a number above 100 cannot be made."""
+        """Wait until let, then make one, or fail for a number above 100."""
         self.begun.release()
         assert self.let.acquire(timeout=30)
         value = float(positions[0, 0])
@@ -34,7 +34,7 @@ class Slow:
 
 @pytest.fixture
 def slow() -> Iterator[tuple[Slow, SurfaceWorker]]:
-    """A worker with what it works with, ended afterwards."""
+    """A worker and its surface maker; the worker is ended afterwards."""
     quick = Slow()
     worker = SurfaceWorker(quick)  # type: ignore[arg-type]
     yield quick, worker
@@ -44,17 +44,17 @@ def slow() -> Iterator[tuple[Slow, SurfaceWorker]]:
 
 
 def made(worker: SurfaceWorker) -> Any:
-    """What was finished last."""
+    """The surface that was finished last."""
     return worker.finished().surface
 
 
 def particles(value: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """One particle there."""
+    """A single particle whose coordinates all have the given value."""
     return [(np.full((1, 3), value), np.ones((1, 4)))]
 
 
-def test_newest_particles_replace_those_that_wait(slow: tuple[Slow, SurfaceWorker]) -> None:
-    """Take a copy of what is offered, skip what is old, and never wait."""
+def test_latest_particles_replace_waiting_ones(slow: tuple[Slow, SurfaceWorker]) -> None:
+    """Copy offered particles, skip outdated ones, and never wait."""
     quick, worker = slow
     first = particles(1)
     worker.offer(first)
@@ -71,8 +71,8 @@ def test_newest_particles_replace_those_that_wait(slow: tuple[Slow, SurfaceWorke
     assert worker.seconds > 0
 
 
-def test_what_goes_wrong_is_told_and_forgotten(slow: tuple[Slow, SurfaceWorker]) -> None:
-    """Go on after an error, which is told until something can be made again."""
+def test_errors_are_reported_until_the_next_success(slow: tuple[Slow, SurfaceWorker]) -> None:
+    """Continue after an error, and report it until a surface can be made again."""
     quick, worker = slow
     quick.let.release(2)
     worker.offer(particles(101))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The quick surface: closed, smooth, in place, in the clay's colors, whatever the particles do."""
+"""The quick surface is closed, smooth, in place and in the clay's colors for any particles."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def ball(radius: float) -> np.ndarray:
 
 
 def disordered(points: np.ndarray) -> np.ndarray:
-    """The same, as clay is that has been worked."""
+    """The particles slightly displaced, as in worked clay."""
     return points + np.random.default_rng(0).normal(0, 0.08, points.shape)
 
 
@@ -37,21 +37,21 @@ def two_colors(points: np.ndarray) -> np.ndarray:
 
 
 def surface_of(points: np.ndarray, spacing: float = 1.0) -> QuadSurface:
-    """The surface, after looking whether it is a closed manifold without faults."""
+    """The surface, after checking it."""
     surface = QuickSurface(spacing).reconstruct(points, two_colors(points))
     check(surface)
     return surface
 
 
 def check(surface: QuadSurface) -> None:
-    """Hold what every surface must hold."""
+    """Check what must hold for every surface."""
     count = len(surface.vertices)
     check_closed_manifold(surface.triangles, count)
     assert surface.vertices.shape == (count, 3)
     assert surface.colors.shape == (count, 4)
     assert np.isfinite(surface.vertices).all()
     assert np.isfinite(surface.colors).all()
-    # Each face runs along its edges, and each edge has two faces.
+    # Each face has its own edges, and each edge has two faces.
     start, end = surface.faces, np.roll(surface.faces, -1, axis=1)
     sides = np.sort(np.stack([start, end], axis=-1), axis=-1)
     np.testing.assert_array_equal(np.sort(surface.edges[surface.face_edges], axis=-1), sides)
@@ -80,11 +80,11 @@ def volume(surface: QuadSurface) -> float:
 def test_surface_is_closed_and_of_the_particles_volume(
     name: str, points: np.ndarray, tolerance: float
 ) -> None:
-    """Close every kind of clay, around nearly the volume that its particles have."""
+    """Make a closed surface with nearly the right volume for every kind of clay."""
     assert volume(surface_of(points)) == pytest.approx(len(points), rel=tolerance)
 
 
-def test_ball_and_block_lie_where_the_clay_ends() -> None:
+def test_surface_is_where_the_clay_ends() -> None:
     """Keep a ball round to a tenth, and a worked block's faces flat to a twentieth of a spacing."""
     points = ball(9.0)
     distance = np.linalg.norm(surface_of(points).vertices, axis=1)
@@ -96,8 +96,8 @@ def test_ball_and_block_lie_where_the_clay_ends() -> None:
     assert top.std() < 0.05
 
 
-def test_colors_are_the_particles_and_mix_where_they_meet() -> None:
-    """Keep each color beside the border, and change from one to the other without a step back."""
+def test_colors_are_those_of_the_particles_and_mix_where_they_meet() -> None:
+    """Keep colors pure away from the border, and change monotonically across it."""
     points = disordered(lattice(16, 8, 8))
     surface = surface_of(points)
     x = surface.vertices[:, 0]
@@ -109,8 +109,8 @@ def test_colors_are_the_particles_and_mix_where_they_meet() -> None:
     assert ((surface.colors[:, 0] > 0.2) & (surface.colors[:, 0] < 0.5)).any()
 
 
-def test_nothing_has_no_surface() -> None:
-    """Make a surface without vertices of no particles, before and after there were some."""
+def test_no_particles_give_an_empty_surface() -> None:
+    """Make an empty surface if there are no particles, before and after there were some."""
     quick = QuickSurface(1.0)
     for points in (np.empty((0, 3)), lattice(3, 3, 3), np.empty((0, 3))):
         surface = quick.reconstruct(points, np.ones((len(points), 4)))
@@ -118,8 +118,8 @@ def test_nothing_has_no_surface() -> None:
         assert len(surface.colors) == len(surface.vertices)
 
 
-def test_particles_that_are_not_finite_are_left_out() -> None:
-    """Make the surface of the others, also where one is absurdly far or has no color."""
+def test_particles_that_are_not_finite_are_ignored() -> None:
+    """Make the surface of the other particles, even if one is extremely far or has no color."""
     points = lattice(6, 6, 6)
     colors = np.tile(np.array(RED, np.float32), (len(points) + 4, 1))
     colors[3, 1] = np.nan
@@ -133,7 +133,7 @@ def test_particles_that_are_not_finite_are_left_out() -> None:
 @pytest.mark.parametrize("density", [0.02, 0.3, 0.8, 1.2, 4.0, 40.0])
 @pytest.mark.parametrize("grain", [0.0, 0.5])
 def test_random_clouds_never_give_a_broken_mesh(density: float, grain: float) -> None:
-    """Close clouds of any density, on a lattice or off, flat or not."""
+    """Make a closed mesh for clouds of any density, on a lattice or not, flat or not."""
     for count in (2, 30, 1500):
         points = np.random.default_rng(count).uniform(0, np.cbrt(count / density), (count, 3))
         if grain:
@@ -145,8 +145,8 @@ def test_random_clouds_never_give_a_broken_mesh(density: float, grain: float) ->
 @pytest.mark.parametrize("offset", [0.0, -3000.0])
 @pytest.mark.parametrize("spacing", [1e-4, 0.005, 100.0])
 def test_scale_and_place_do_not_matter(spacing: float, offset: float) -> None:
-    """Make the same mesh in units of the spacing, far from the origin too."""
-    # Whole numbers of blocks, so that the grid lies the same.
+    """Make the same mesh in units of the spacing, even far from the origin."""
+    # Whole numbers of blocks, so that the grid has the same alignment.
     points = ball(4) + 0.25
     reference = surface_of(points)
     elsewhere = surface_of((points + offset) * spacing, spacing)
@@ -155,8 +155,8 @@ def test_scale_and_place_do_not_matter(spacing: float, offset: float) -> None:
     np.testing.assert_allclose(middle, reference.vertices.mean(axis=0), atol=0.01)
 
 
-def test_history_leaves_no_trace() -> None:
-    """Make the same bits as from scratch, whatever was made before, and share no arrays."""
+def test_result_does_not_depend_on_history() -> None:
+    """Make bit-identical surfaces whatever was made before, and share no arrays."""
     quick = QuickSurface(1.0)
     before = None
     for points in (lattice(20, 20, 20), ball(5) + 60, disordered(lattice(9, 9, 9)), ball(6)):
@@ -171,7 +171,7 @@ def test_history_leaves_no_trace() -> None:
 
 
 def test_still_clay_keeps_its_surface() -> None:
-    """Return the same object while nothing moves, and a new one when anything does or creeps."""
+    """Return the same object while nothing moves, and a new one on any change or slow creep."""
     quick = QuickSurface(1.0)
     points = lattice(6, 6, 6)
     colors = two_colors(points)
@@ -188,7 +188,7 @@ def test_still_clay_keeps_its_surface() -> None:
 
 
 def test_bad_input_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Say what is wrong with shapes, spacing and clay that is all over the place."""
+    """Say what is wrong with shapes, spacing and widely scattered particles."""
     with pytest.raises(SurfaceError, match="spacing"):
         QuickSurface(0.0)
     quick = QuickSurface(1.0)
