@@ -42,7 +42,7 @@ def make_hand(
     side: str = "",
     clay_spacing: float | None = None,
 ) -> bpy.types.Object:
-    """Bind a rigged mesh as a clay hand; an existing binding is replaced.
+    """Bind a rigged mesh and make it a clay hand; an existing binding is replaced.
 
     Args:
         context: Context with the object's scene.
@@ -56,6 +56,22 @@ def make_hand(
 
     Raises:
         HandError: The object cannot be a hand; it is left unchanged.
+    """
+    keep_binding(item, binding_of(context, item, side=side, clay_spacing=clay_spacing))
+    return item
+
+
+def binding_of(
+    context: bpy.types.Context,
+    item: bpy.types.Object,
+    *,
+    side: str = "",
+    clay_spacing: float | None = None,
+) -> StoredHand:
+    """Bind a rigged mesh as `make_hand` does, without changing it.
+
+    Raises:
+        HandError: The object cannot be a hand.
     """
     from ...solver.hand.binding import bind_hand
 
@@ -74,10 +90,13 @@ def make_hand(
     except ValueError as error:
         raise HandError(f"{item.name!r}: {error}") from error
     armature = armature_matrix(hand_armature(item), context.evaluated_depsgraph_get())
-    stored = StoredHand(rig, armature, weights_digest(hand), source_digest(item))
-    store_hand(item.data, stored)
+    return StoredHand(rig, armature, weights_digest(hand), source_digest(item))
+
+
+def keep_binding(item: bpy.types.Object, binding: StoredHand) -> None:
+    """Make an object a clay hand that is bound so; an existing binding is replaced."""
+    store_hand(item.data, binding)
     item.tactile_clay.role = "HAND"
-    return item
 
 
 def remove_hand(item: bpy.types.Object) -> None:

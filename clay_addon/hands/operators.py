@@ -9,9 +9,11 @@ from mathutils import Matrix
 from ...solver.hand.proportions import REFERENCE_LENGTH
 from ..base.units import from_meters
 from .add_hand import AddHandError, add_hand
-from .gap import skin_gap
-from .hand import make_hand, read_hand_rig, remove_hand
+from .changes import changed_part
+from .gap import SkinGap, skin_gap
+from .hand import binding_of, keep_binding, remove_hand
 from .reading import HandError, skinned_hand
+from .store import StoredHand
 
 _GAP = 0.75
 """Distance from the 3D cursor to each of two hands, in lengths of a hand."""
@@ -38,26 +40,24 @@ class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
     bl_options = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        """Bind all selected meshes, or report why one cannot be bound."""
+        """Bind all selected meshes; or none, and report why one cannot be bound."""
         chosen = _chosen(context)
         if not chosen:
             self.report({"ERROR"}, "Nothing is selected. Select a rigged hand first.")
             return {"CANCELLED"}
         try:
-            for item in chosen:
-                skinned_hand(context, item)
-            for item in chosen:
-                make_hand(context, item)
-            for item in chosen:
-                self._tell_gap(context, item)
+            bindings = _bindings(context, chosen)
+            gaps = _gaps(context, chosen, bindings)
         except HandError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        # Nothing is changed before all that may fail is done.
+        for item, gap in zip(chosen, gaps, strict=True):
+            keep_binding(item, bindings[item.data.name])
+            self._tell_gap(item, gap)
         return {"FINISHED"}
 
-    def _tell_gap(self, context: bpy.types.Context, item: bpy.types.Object) -> None:
-        depsgraph = context.evaluated_depsgraph_get()
-        gap = skin_gap(item, read_hand_rig(context, item), depsgraph)
+    def _tell_gap(self, item: bpy.types.Object, gap: SkinGap | None) -> None:
         if gap is not None and gap.too_large:
             self.report({"WARNING"}, gap.warning(item.name))
         elif gap is not None:
@@ -65,6 +65,45 @@ class CLAY_OT_hand_make(bpy.types.Operator):  # noqa: N801
                 {"INFO"},
                 f"The flesh of {item.name!r} is within {gap.meters * 1e3:.2g} mm of the mesh shown",
             )
+
+
+def _bindings(context: bpy.types.Context, chosen: list[bpy.types.Object]) -> dict[str, StoredHand]:
+    """Bind meshes without changing them.
+
+    Returns:
+        The binding of each mesh by the name of its data; the last object's where several share it.
+
+    Raises:
+        HandError: One cannot be bound, or objects that share a mesh cannot share its binding.
+    """
+    # Reading is fast, so that most faults are told before any mesh is bound.
+    for item in chosen:
+        skinned_hand(context, item)
+    bindings = {item.data.name: binding_of(context, item) for item in chosen}
+    users = {item.data.name: item for item in chosen}
+    for item in chosen:
+        user = users[item.data.name]
+        change = "" if user == item else changed_part(context, item, bindings[item.data.name])
+        if change:
+            raise HandError(
+                f"{item.name!r} shares its mesh with {user.name!r}, but not its binding: {change}. "
+                "Give it a mesh of its own (Object > Relations > Make Single User)."
+            )
+    return bindings
+
+
+def _gaps(
+    context: bpy.types.Context,
+    chosen: list[bpy.types.Object],
+    bindings: dict[str, StoredHand],
+) -> list[SkinGap | None]:
+    """How far the flesh of each would lie from the mesh that is shown.
+
+    Raises:
+        HandError: The pose of one cannot be read.
+    """
+    depsgraph = context.evaluated_depsgraph_get()
+    return [skin_gap(item, bindings[item.data.name].rig, depsgraph) for item in chosen]
 
 
 class CLAY_OT_hand_remove(bpy.types.Operator):  # noqa: N801

@@ -10,14 +10,24 @@ from itertools import pairwise, permutations
 import numpy as np
 from numpy.typing import NDArray
 
+from ...solver.hand.bone_names import FINGER_WORDS
+from ...solver.hand.proportions import FINGERS
 from ...solver.hand.rig import HandRig
 
+_FINGERS = ("thumb", *FINGERS)
+_OTHER_WORDS = {
+    "thumb": r"pollex|親指",
+    "index": r"point|fore(?!arm)|人指|人差",
+    "middle": r"中指",
+    "ring": r"薬指",
+    "little": r"pink|small|小指",
+}
+"""What else bones of a finger are called: in MMD, in Latin and by hand."""
 _NAMES = {
-    "thumb": r"thumb|pollex|親指",
-    "index": r"index|point|fore(?!arm)|人指|人差",
-    "middle": r"middle|mid|中指",
-    "ring": r"ring|薬指",
-    "little": r"little|pink|small|小指",
+    finger: "|".join(
+        [word for word, place in FINGER_WORDS.items() if place == index] + [_OTHER_WORDS[finger]]
+    )
+    for index, finger in enumerate(_FINGERS)
 }
 """Finger names in bone names: of OpenXR, WebXR, Rigify, Mixamo, VRM, MMD and common usage."""
 _RIGHT = re.compile(r"(^|[^a-z])(r|right)([^a-z]|$)|右|right")

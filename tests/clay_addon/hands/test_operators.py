@@ -11,7 +11,7 @@ import pytest
 from mathutils import Vector
 
 from tactile_clay.clay_addon.hands.hand import hand_objects
-from tactile_clay.clay_addon.hands.store import is_stored
+from tactile_clay.clay_addon.hands.store import PROPERTY, is_stored
 from tactile_clay.clay_addon.panel import CLAY_PT_hands
 
 from ..test_panel import Layout
@@ -179,6 +179,72 @@ def test_selection_with_an_unrigged_mesh_is_refused(studio: Any, unbound: Any) -
     studio.select(unbound, block)
     assert "not rigged" in studio.refused(bpy.ops.clay.hand_make)
     assert unbound.tactile_clay.role == "NONE"
+
+
+def twin(item: Any, *, linked: bool = False) -> Any:
+    """A copy of a rigged hand with an armature of its own; its mesh is shared if linked."""
+    armature, copy = item.parent.copy(), item.copy()
+    armature.data = item.parent.data.copy()
+    if not linked:
+        copy.data = item.data.copy()
+    copy.parent = armature
+    for modifier in copy.modifiers:
+        modifier.object = armature
+    for new in (armature, copy):
+        bpy.context.scene.collection.objects.link(new)
+    armature.location.x += 1.0
+    bpy.context.view_layer.update()
+    return copy
+
+
+def kept(item: Any) -> tuple[str, bytes]:
+    """What Make Clay Hand writes into an object and its mesh."""
+    return item.tactile_clay.role, bytes(item.data.get(PROPERTY, b""))
+
+
+def lose_pose(item: Any) -> None:
+    item.parent.pose.bones["index_distal"].location.x = float("nan")
+
+
+@pytest.mark.parametrize("change", [delete_faces, flip_faces, add_ring, unweight, lose_pose])
+@pytest.mark.parametrize("failing", [0, 1, 2])
+@pytest.mark.parametrize("bound", [False, True], ids=["unbound", "bound"])
+def test_all_selected_hands_are_bound_or_none(
+    studio: Any, unbound: Any, change: Any, failing: int, bound: bool
+) -> None:
+    """Leave each hand as it was, bound before or not, when any of them cannot be bound."""
+    hands = [unbound, twin(unbound), twin(unbound)]
+    if bound:
+        studio.select(*hands)
+        assert bpy.ops.clay.hand_make() == {"FINISHED"}
+        # Another binding would be another one than before.
+        studio.scene.tactile_clay.spacing = 0.015
+    change(hands[failing])
+    bpy.context.view_layer.update()
+    before = [kept(item) for item in hands]
+    assert all((role == "HAND") == bound == bool(binding) for role, binding in before)
+    studio.select(*hands)
+    message = studio.refused(bpy.ops.clay.hand_make)
+    assert hands[failing].name in message or hands[failing].parent.name in message
+    assert [kept(item) for item in hands] == before
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.2])
+def test_hands_that_share_a_mesh_share_its_binding_or_are_refused(
+    studio: Any, unbound: Any, scale: float
+) -> None:
+    """Bind both where one binding fits both; else change nothing and say why."""
+    other = twin(unbound, linked=True)
+    other.parent.scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    studio.select(unbound, other)
+    if scale == 1.0:
+        assert bpy.ops.clay.hand_make() == {"FINISHED"}
+        assert len(hand_objects(studio.scene)) == 2
+    else:
+        message = studio.refused(bpy.ops.clay.hand_make)
+        assert "shares its mesh" in message and "its size has changed" in message
+        assert hand_objects(studio.scene) == [] and not is_stored(unbound.data)
 
 
 def test_hand_is_not_made_into_clay(studio: Any) -> None:

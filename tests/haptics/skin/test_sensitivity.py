@@ -9,6 +9,7 @@ import pytest
 
 from tactile_clay.haptics.skin.finger_pads import find_finger_pads
 from tactile_clay.haptics.skin.sensitivity import ReceptorDensity, SkinSensitivity, _interpolated
+from tactile_clay.solver.hand.bone_names import FINGER_WORDS
 from tactile_clay.tests.haptics.hands import bare_rig, hand_shape
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
@@ -73,6 +74,26 @@ def test_pads_are_found_by_names_and_shape(options, pose):
         # If the thumb is bent when bound, its pad is found rotated by up to 45 degrees.
         assert np.mean(below > 0.0) > (0.7 if finger == "thumb" else 0.95)
     assert pads.finger_length == pytest.approx(0.0628 * scale, rel=0.03)
+
+
+SPOKEN = [
+    *((FINGERS[index], word) for word, index in FINGER_WORDS.items()),
+    *(("thumb", word) for word in ("pollex", "親指")),
+    *(("index", word) for word in ("pointer", "forefinger", "人指", "人差指")),
+    *(("middle", word) for word in ("中指",)),
+    *(("ring", word) for word in ("薬指",)),
+    *(("little", word) for word in ("pinkfinger", "small", "小指")),
+]
+
+
+@pytest.mark.parametrize(("finger", "word"), SPOKEN)
+@pytest.mark.parametrize("written", [str, str.upper, str.title])
+def test_a_finger_is_found_by_each_word_for_it(finger, word, written):
+    """Find the same pads by each word that the rest of Tactile Clay knows, and by others."""
+    rig = bare_rig(named=lambda name: written(name.replace(finger, word)))
+    pads = find_finger_pads(rig)
+    assert pads.fingers == FINGERS
+    assert np.array_equal(pads.vertices, find_finger_pads(bare_rig()).vertices)
 
 
 def test_the_other_hand_of_a_body_is_ignored():

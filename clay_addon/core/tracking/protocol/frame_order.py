@@ -32,9 +32,9 @@ class FrameOrder:
         self._delay = _MinDelay()
 
     @property
-    def delay(self) -> int:
-        """Time from the newest frame's source time to its arrival [ns]."""
-        return self._arrived - self._newest.source_time if self._newest else 0
+    def delay(self) -> int | None:
+        """Time from the newest frame's source time to its arrival [ns]; None before the first."""
+        return self._arrived - self._newest.source_time if self._newest else None
 
     def accept(self, frame: HandFrame, sender: Hashable, now: int) -> int | None:
         """Accept a frame or not.

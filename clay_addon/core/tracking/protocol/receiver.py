@@ -24,6 +24,8 @@ _MAX_AT_ONCE = 1024
 """Number of datagrams processed in one call, so that a flood does not stall Blender."""
 _BUFFER_SIZE = 1 << 20
 _RATE_WINDOW = 1_000_000_000
+_MAX_DELAY = 10_000_000_000
+"""A frame that seems older than this comes from another clock [ns]."""
 
 
 class Arrival(NamedTuple):
@@ -146,9 +148,12 @@ class Receiver:
         return float(sum(arrived >= start for arrived in self._arrival_times[side]))
 
     def latency(self, side: str) -> float | None:
-        """Delay of a hand's newest frame [s]; None if the sender's clock differs from this one."""
-        delay = self._orders[side].delay * 1e-9
-        return delay if self._newest and 0.0 < delay < 10.0 else None
+        """Delay of a hand's newest frame [s].
+
+        None before this hand's first frame, or if the sender's clock differs from this one.
+        """
+        delay = self._orders[side].delay
+        return delay * 1e-9 if delay is not None and 0 <= delay < _MAX_DELAY else None
 
     def close(self) -> None:
         """Release the port; a second call does nothing."""

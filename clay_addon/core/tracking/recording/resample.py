@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +74,7 @@ def _take(tracker: HandTracker, entry: Entry, samples: dict[str, list[Sample]]) 
 
 
 def _interpolated(hand: TrackedHand, time: int, samples: Sequence[Sample]) -> TrackedHand:
-    after = int(np.searchsorted([sample.time for sample in samples], time, side="right"))
+    after = bisect_right(samples, time, key=attrgetter("time"))
     if hand.state != "live" or not 0 < after < len(samples):
         return hand
     first, second = samples[after - 1], samples[after]

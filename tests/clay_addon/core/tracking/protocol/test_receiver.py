@@ -157,6 +157,28 @@ def test_rate_and_latency_are_measured(clock: Clock) -> None:
         assert receiver.latency("right") is None
 
 
+sent = st.tuples(st.sampled_from(("left", "right")), st.sampled_from((0, 1, 7, 250, 9_999, 10_000)))
+
+
+@settings(max_examples=30)
+@given(st.lists(sent, max_size=8))
+def test_each_hand_has_a_latency_of_its_own(frames) -> None:
+    """Tell the delay of a hand's own newest frame, and none of a hand that has not arrived."""
+    clock = Clock(now=100_000 * MILLISECOND)
+    with Receiver(0, clock=clock) as receiver, socket.socket(type=socket.SOCK_DGRAM) as wire:
+        wire.connect(receiver.address)
+        expected: dict[str, float | None] = {"left": None, "right": None}
+        for number, (side, delay) in enumerate(frames):
+            # Each frame is seen later than the one before, however long it takes to arrive.
+            clock.turn(20_000)
+            wire.send(encode(frame_at(clock.now - delay * MILLISECOND, number, side)))
+            assert len(receiver.drain()) == 1
+            expected[side] = delay * 1e-3 if delay < 10_000 else None
+            for hand, seconds in expected.items():
+                measured = receiver.latency(hand)
+                assert measured == (None if seconds is None else pytest.approx(seconds))
+
+
 def test_port_in_use_is_explained(receiver: Receiver) -> None:
     """Name the likely cause and what to do."""
     with pytest.raises(TrackingError, match=r"in use, perhaps by another Blender.*another port"):
