@@ -89,7 +89,8 @@ def _add_body(built: BuiltScene, index: int, body: Body) -> None:
         item.rotation_euler, item.scale = body.turn, body.mirror
         item.location = (0.0, index * BODY_PITCH * spacing, 0.0)
     bpy.context.view_layer.update()
-    clay = make_clay(bpy.context, items, spacing, name=body.name)
+    clay = make_clay(bpy.context, items, spacing, built.spec.material, name=body.name)
+    clay.rotation_euler = body.turned_after
     built.clay.append(clay)
     volume = 0.0
     for shell in body.shells:
@@ -200,7 +201,7 @@ def _move(
 ) -> None:
     first, last = (animation_time(scene, frame) for frame in (spec.start, spec.end))
     frames = spec.length - 1
-    far = {"toward": -0.3, "away": 0.4, "fast": -3.0, "jump": -60.0}.get(motion)
+    far = {"press": -0.8, "toward": -0.3, "away": 0.4, "fast": -3.0, "jump": -60.0}.get(motion)
     axis = int(np.abs(outward).argmax())
     place = item.location[axis]
     if far is not None:
@@ -215,6 +216,12 @@ def _move(
         item.rotation_euler = item.rotation_quaternion.to_euler()
         angle = item.rotation_euler[2]
         _linear(item, "rotation_euler", 2, {first: angle, last: angle + 0.2 * frames})
+    elif motion == "carried":
+        carrier = bpy.data.objects.new("Carrier", None)
+        scene.collection.objects.link(carrier)
+        far = -0.8 * float(outward[axis]) * spec.step_length * frames
+        _linear(carrier, "location", axis, {first: 0.0, last: far})
+        item.parent = carrier
     elif motion == "swell":
         size = item.scale[2]
         _linear(item, "scale", 2, {first: size, last: size * (1 + 0.03 * frames)})
@@ -278,6 +285,8 @@ def build(spec: SceneSpec, library: Callable[[Any], Any]) -> BuiltScene:
     """
     scene = bpy.context.scene
     scene.unit_settings.scale_length = spec.unit
+    scene.unit_settings.system = spec.units
+    scene.tactile_clay.hold_frames = spec.hold
     scene.render.fps, scene.render.fps_base = spec.rate
     scene.render.frame_map_old, scene.render.frame_map_new = spec.remap
     scene.frame_step = spec.step

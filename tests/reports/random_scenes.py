@@ -48,6 +48,8 @@ class Body:
     """Whether each shell is an object of its own."""
     turn: Vector = (0.0, 0.0, 0.0)
     mirror: Vector = (1.0, 1.0, 1.0)
+    turned_after: Vector = (0.0, 0.0, 0.0)
+    """Rotation of the clay object, once it is clay."""
     drive: str = "none"
     """What moves the clay object during the bake."""
     name: str = "Clay"
@@ -98,6 +100,10 @@ class SceneSpec:
     delivers: bool = False
     resumes: bool = False
     hidden_clay: str = "no"
+    hold: int = 1
+    """Frames that playback shows each shape for."""
+    units: str = "METRIC"
+    material: str = "plasticine"
 
     @property
     def end(self) -> int:
@@ -127,9 +133,12 @@ TURNS = st.one_of(st.just((0.0, 0.0, 0.0)), _vectors(0.0, 0.3, -1.2, np.pi / 2, 
 MIRRORS = _vectors(1.0, -1.0)
 NAMES = st.sampled_from(["Clay", "Clay.001", "Ton ü", "A", "粘土"])
 DRIVES = ["none", "keys", "parent", "grandparent", "constraint", "driver", "strip"]
-MOTIONS = ["still", "still", "toward", "away", "slide", "fast", "jump", "turn", "swell", "deform"]
+MOTIONS = [
+    *["press", "toward", "press", "fast", "still", "away"],
+    *["slide", "jump", "turn", "swell", "deform", "carried"],
+]
 PRESENCES = [
-    *["there"] * 4,
+    *["there"] * 6,
     *["keyed off", "keyed on", "lifted", "set down"],
     *["off", "collection", "eye", "camera"],
 ]
@@ -141,12 +150,13 @@ BODIES = st.builds(
     apart=st.booleans(),
     turn=TURNS,
     mirror=MIRRORS,
+    turned_after=st.one_of(st.just((0.0, 0.0, 0.0)), _vectors(0.0, 0.1, np.pi)),
     drive=st.sampled_from(DRIVES),
     name=NAMES,
 )
 _PLACES: dict[str, st.SearchStrategy] = {
     "side": st.sampled_from(["below", "above", "beside", "between"]),
-    "gap": st.sampled_from([0.5, 1.5, 0.1, -0.3, 4.0, -2.0]),
+    "gap": st.sampled_from([0.5, 0.1, 1.5, 0.3, -0.3, 4.0, -2.0]),
     "tilt": st.one_of(st.just((0.0, 0.0, 0.0)), _vectors(0.0, 0.05, np.pi)),
     "mirror": MIRRORS,
     "inverted": st.booleans(),
@@ -178,7 +188,7 @@ SCENES = st.builds(
     rate=st.sampled_from([(24, 1.0), (24, 1.001), (30, 1.0), (60, 1.0)]),
     remap=st.sampled_from([(100, 100), (100, 200), (200, 100), (100, 90)]),
     start=st.sampled_from([1, 0, -1, -7, 1001]),
-    length=st.integers(2, 4),
+    length=st.sampled_from([4, 3, 5, 2]),
     step=st.sampled_from([1, 3]),
     current=st.sampled_from([0.0, 2.0, -3.0, 1.5, 40.0]),
     gravity=st.sampled_from(["down", "off", "as it was", "sideways"]),
@@ -188,4 +198,7 @@ SCENES = st.builds(
     delivers=st.sampled_from([False, False, False, False, False, True]),
     resumes=st.sampled_from([False, False, False, True]),
     hidden_clay=st.sampled_from(["no"] * 6 + ["H", "H", "camera", "monitor"]),
+    hold=st.sampled_from([1, 1, 1, 2]),
+    units=st.sampled_from(["METRIC", "IMPERIAL", "NONE"]),
+    material=st.sampled_from(["plasticine", "wet_clay"]),
 )

@@ -30,6 +30,7 @@ import tactile_clay
 from tactile_clay.clay_addon.bake.bake import BakeResult, bake
 from tactile_clay.clay_addon.base.clock import shown_moment
 from tactile_clay.clay_addon.core.storage.cache import Cache
+from tactile_clay.clay_addon.core.storage.playback import held_frame
 from tactile_clay.clay_addon.deliver.delivery import deliver
 from tactile_clay.clay_addon.model.clay_scene import clay_objects
 from tactile_clay.clay_addon.playback.pack import pack_bake
@@ -158,7 +159,8 @@ def check_shown(built: BuiltScene, frames: dict[int, NDArray[np.float32]], said:
     numbers = [*frames, min(frames) - 2, max(frames) + 3]
     for number in [*numbers[::-1], *numbers[::2]]:
         scene.frame_set(number)
-        wanted = layout.split(frames[min(max(number, min(frames)), max(frames))])
+        known = min(max(number, min(frames)), max(frames))
+        wanted = layout.split(frames[held_frame(known, first=min(frames), hold=built.spec.hold)])
         for item, rows in zip(clay_objects(scene), wanted, strict=True):
             # Packed shapes go with their object, which a strip may move outside the bake's range.
             if number not in frames and is_packed(item):
