@@ -174,11 +174,14 @@ def _add_collider(built: BuiltScene, spec: Obstacle, library: Callable[[Any], An
     points = world_points(built.clay[0])
     face = points[np.argmax(points @ outward)] @ outward
     turn = Euler(spec.tilt).to_quaternion()
-    turn = turn @ Euler(
-        {"beside": (0.0, np.pi / 2, 0.0), "between": (np.pi / 2, 0.0, 0.0)}.get(
-            spec.side, (0.0, 0.0, 0.0)
-        )
-    ).to_quaternion()
+    turn = (
+        turn
+        @ Euler(
+            {"beside": (0.0, np.pi / 2, 0.0), "between": (np.pi / 2, 0.0, 0.0)}.get(
+                spec.side, (0.0, 0.0, 0.0)
+            )
+        ).to_quaternion()
+    )
     item = _mesh_object(spec.name, vertices * spacing, faces)
     item.rotation_mode = "QUATERNION"
     item.rotation_quaternion = turn

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 Vector = tuple[float, float, float]
 
+
 @dataclass(frozen=True)
 class Shell:
     """One closed surface of a mesh; lengths in spacings."""
@@ -182,7 +183,9 @@ OBSTACLES = st.one_of(CLOSED, FLAT)
 SCENES = st.builds(
     SceneSpec,
     bodies=st.lists(BODIES, min_size=1, max_size=3).map(tuple),
-    obstacles=st.lists(OBSTACLES, min_size=0, max_size=3).map(tuple),
+    obstacles=st.one_of(
+        st.lists(CLOSED, min_size=1, max_size=2), st.lists(OBSTACLES, max_size=3)
+    ).map(tuple),
     spacing=st.sampled_from([0.01, 0.005, 0.02]),
     unit=st.sampled_from([1.0, 0.1, 0.01]),
     rate=st.sampled_from([(24, 1.0), (24, 1.001), (30, 1.0), (60, 1.0)]),
@@ -197,7 +200,7 @@ SCENES = st.builds(
     packs=st.booleans(),
     delivers=st.sampled_from([False, False, False, False, False, True]),
     resumes=st.sampled_from([False, False, False, True]),
-    hidden_clay=st.sampled_from(["no"] * 6 + ["H", "H", "camera", "monitor"]),
+    hidden_clay=st.sampled_from([*["no"] * 12, "H", "H", "camera", "monitor"]),
     hold=st.sampled_from([1, 1, 1, 2]),
     units=st.sampled_from(["METRIC", "IMPERIAL", "NONE"]),
     material=st.sampled_from(["plasticine", "wet_clay"]),
