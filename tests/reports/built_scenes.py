@@ -31,8 +31,11 @@ class Placed:
 
     spec: Obstacle
     item: bpy.types.Object
-    shells: list[int]
-    """Vertices before each of its convex shells, and of all."""
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it has no inside."""
+        return self.spec.kind in ("table", "shelf") and not self.spec.modifier
 
 
 @dataclass
@@ -55,10 +58,10 @@ def _mesh_object(name: str, vertices: Any, faces: Any) -> bpy.types.Object:
     return item
 
 
-def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any, list[int]]:
+def _joined(meshes: list[tuple[Any, Any]]) -> tuple[Any, Any]:
     starts = [0, *itertools.accumulate(len(vertices) for vertices, _ in meshes)]
     faces = [faces + start for (_, faces), start in zip(meshes, starts, strict=False)]
-    return np.concatenate([v for v, _ in meshes]), np.concatenate(faces), starts
+    return np.concatenate([v for v, _ in meshes]), np.concatenate(faces)
 
 
 def _linear(item: Any, path: str, index: int, keys: dict[float, float]) -> None:
@@ -81,7 +84,7 @@ def _add_body(built: BuiltScene, index: int, body: Body) -> None:
         offset = ((place - (len(body.shells) - 1) / 2) * SHELL_PITCH, 0.0, 0.0)
         meshes.append(((vertices + offset) * spacing, faces))
     if not body.apart:
-        vertices, faces, _ = _joined(meshes)
+        vertices, faces = _joined(meshes)
         items = [_mesh_object("Source", vertices, faces)]
     else:
         items = [_mesh_object("Source", *mesh) for mesh in meshes]
@@ -147,29 +150,28 @@ _OUTWARD: dict[str, Vector] = {
 }
 
 
-def _collider_mesh(spec: Obstacle) -> tuple[Any, Any, list[int], float]:
-    """Vertices [spacings], faces, starts of shells, and how far it reaches along its z."""
+def _collider_mesh(spec: Obstacle) -> tuple[Any, Any, float]:
+    """Vertices [spacings], faces, and how far it reaches along its z."""
     if spec.kind in ("table", "shelf"):
         size = 60.0 if spec.kind == "table" else 20.0
         corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]) * 0.5 * size
         faces = np.array([[0, 1, 2, 3]])
-        return corners, faces[:, ::-1] if spec.inverted else faces, [0, 4], 0.0
+        return corners, faces[:, ::-1] if spec.inverted else faces, 0.0
     if spec.kind == "pair":
         shells = [
-            (vertices + (x, 0.0, 0.0), faces)
+            (vertices + np.array([x, 0.0, 0.0]), faces)
             for x, turned in ((-5.0, False), (5.0, spec.inverted))
             for vertices, faces in [Shell("box", (6.0, 9.0, 6.0), turned).mesh()]
         ]
-        vertices, faces, starts = _joined(shells)
-        return vertices, faces, starts, 3.0
+        return *_joined(shells), 3.0
     size = (14.0, 14.0, 6.0) if spec.kind == "box" else (9.0, 9.0, 9.0)
     vertices, faces = Shell(spec.kind, size, spec.inverted).mesh()
-    return vertices, faces, [0, len(vertices)], 0.5 * size[2]
+    return vertices, faces, 0.5 * size[2]
 
 
 def _add_collider(built: BuiltScene, spec: Obstacle, library: Callable[[Any], Any]) -> None:
     scene, spacing = bpy.context.scene, built.spec.step_length
-    vertices, faces, starts, reach = _collider_mesh(spec)
+    vertices, faces, reach = _collider_mesh(spec)
     outward = np.array(_OUTWARD[spec.side])
     points = world_points(built.clay[0])
     face = points[np.argmax(points @ outward)] @ outward
@@ -189,12 +191,16 @@ def _add_collider(built: BuiltScene, spec: Obstacle, library: Callable[[Any], An
     middle = points.mean(0) * (1 - np.abs(outward))
     # Half a spacing is between the outermost particles and the clay's surface.
     item.location = (middle + outward * (face + (spec.gap + 0.5 + reach) * spacing)).tolist()
+    if spec.modifier:
+        if spec.kind in ("table", "shelf"):
+            item.modifiers.new("Thick", "SOLIDIFY").thickness = 2.0 * spacing
+        else:
+            item.modifiers.new("Finer", "SUBSURF")
     if spec.linked:
         item = library(item)
     bpy.context.view_layer.update()
     make_collider(item)
-    placed = Placed(spec, item, starts)
-    built.colliders.append(placed)
+    built.colliders.append(Placed(spec, item))
     _move(built.spec, scene, item, spec.motion, outward)
     _switch(built.spec, scene, item, spec.presence)
 
@@ -225,6 +231,8 @@ def _move(
         far = -0.8 * float(outward[axis]) * spec.step_length * frames
         _linear(carrier, "location", axis, {first: 0.0, last: far})
         item.parent = carrier
+    elif motion == "wheel":
+        item.tactile_clay.wheel_speed = 90.0
     elif motion == "swell":
         size = item.scale[2]
         _linear(item, "scale", 2, {first: size, last: size * (1 + 0.03 * frames)})
@@ -313,6 +321,9 @@ def build(spec: SceneSpec, library: Callable[[Any], Any]) -> BuiltScene:
     clay = built.clay[-1]
     if spec.hidden_clay == "H":
         clay.hide_set(True)
+    elif spec.hidden_clay == "keyed":
+        times = [animation_time(scene, spec.start + offset) for offset in (0, 1)]
+        _key_switch(clay, "hide_viewport", {times[0]: False, times[1]: True})
     elif spec.hidden_clay == "monitor":
         clay.hide_viewport = True
     elif spec.hidden_clay == "camera":

@@ -72,6 +72,8 @@ class Obstacle:
     motion: str = "still"
     presence: str = "there"
     """Whether, and how, it is switched off for a part of the time."""
+    modifier: bool = False
+    """Whether it has one: flat ones are solidified, closed ones subdivided."""
     linked: bool = False
     """Whether it is a library override of one in another file."""
     name: str = "Board"
@@ -136,7 +138,7 @@ NAMES = st.sampled_from(["Clay", "Clay.001", "Ton ü", "A", "粘土"])
 DRIVES = ["none", "keys", "parent", "grandparent", "constraint", "driver", "strip"]
 MOTIONS = [
     *["press", "toward", "press", "fast", "still", "away"],
-    *["slide", "jump", "turn", "swell", "deform", "carried"],
+    *["slide", "jump", "turn", "swell", "deform", "carried", "wheel"],
 ]
 PRESENCES = [
     *["there"] * 6,
@@ -161,6 +163,7 @@ _PLACES: dict[str, st.SearchStrategy] = {
     "tilt": st.one_of(st.just((0.0, 0.0, 0.0)), _vectors(0.0, 0.05, np.pi)),
     "mirror": MIRRORS,
     "inverted": st.booleans(),
+    "modifier": st.sampled_from([False, False, True]),
     "linked": st.sampled_from([False, False, False, True]),
     "name": st.sampled_from(["Board", "Board.001", "Flügel", "0"]),
 }
@@ -200,7 +203,7 @@ SCENES = st.builds(
     packs=st.booleans(),
     delivers=st.sampled_from([False, False, False, False, False, True]),
     resumes=st.sampled_from([False, False, False, True]),
-    hidden_clay=st.sampled_from([*["no"] * 12, "H", "H", "camera", "monitor"]),
+    hidden_clay=st.sampled_from([*["no"] * 12, "H", "H", "camera", "monitor", "keyed"]),
     hold=st.sampled_from([1, 1, 1, 2]),
     units=st.sampled_from(["METRIC", "IMPERIAL", "NONE"]),
     material=st.sampled_from(["plasticine", "wet_clay"]),

@@ -41,8 +41,8 @@ from tactile_clay.tests.reports.random_scenes import SCENES, SceneSpec
 from tactile_clay.tests.reports.test_baked_is_rendered import shown_points
 
 ROUND = 10
-"""Scenes that hypothesis draws in one go. Later ones are made of parts of earlier ones, so that many
-short goes show more than a long one."""
+"""Scenes that hypothesis draws in one go. Later ones are made of parts of earlier ones, so that
+many short goes show more than a long one."""
 ROUNDS = 10
 """Goes in `make test`."""
 MINUTES = float(os.environ.get("TACTILE_CLAY_FUZZ_MINUTES", "0"))
@@ -164,7 +164,7 @@ def check_shown(built: BuiltScene, frames: dict[int, NDArray[np.float32]], said:
         wanted = layout.split(frames[held_frame(known, first=min(frames), hold=built.spec.hold)])
         for item, rows in zip(clay_objects(scene), wanted, strict=True):
             # Packed shapes go with their object, which a strip may move outside the bake's range.
-            if number not in frames and is_packed(item):
+            if item.hide_viewport or (number not in frames and is_packed(item)):
                 continue
             got = shown_points(item)
             assert got.shape == rows.shape, f"{item.name!r} at frame {number}, {said}"
@@ -179,36 +179,47 @@ def is_present(placed: Placed) -> bool:
     return bool(not switched and item.tactile_clay.collider_enabled)
 
 
-def world_vertices(item: bpy.types.Object) -> NDArray[np.float64]:
-    """Vertices that the viewport shows."""
+def world_mesh(
+    item: bpy.types.Object,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+    """What the viewport shows.
+
+    Returns:
+        Vertices, shape [V, 3]; triangles, shape [F, 3]; and which of these are on the left in the
+        object's own coordinates, as one body of a pair is.
+    """
     evaluated = item.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
+    mesh.calc_loop_triangles()
     values = np.array([vertex.co for vertex in mesh.vertices], np.float64)
+    triangles = np.array([triangle.vertices for triangle in mesh.loop_triangles], np.int64)
     evaluated.to_mesh_clear()
     matrix = np.array(evaluated.matrix_world, np.float64)
-    return values @ matrix[:3, :3].T + matrix[:3, 3]
+    left = values[triangles][..., 0].mean(1) < 0.0
+    return values @ matrix[:3, :3].T + matrix[:3, 3], triangles, left
 
 
 def depth_in(placed: Placed, points: NDArray[np.float64]) -> float:
-    """How deep the deepest point is in a collider of convex shells; 0 outside."""
-    vertices, deepest = world_vertices(placed.item), 0.0
-    faces = np.array([list(face.vertices)[:3] for face in placed.item.data.polygons])
-    for start, end in zip(placed.shells, placed.shells[1:], strict=False):
-        own = faces[(faces[:, 0] >= start) & (faces[:, 0] < end)]
-        a, b, c = np.moveaxis(vertices[own], 1, 0)
+    """How deep the deepest point is in a collider of one or two convex bodies; 0 outside."""
+    vertices, triangles, left = world_mesh(placed.item)
+    deepest = 0.0
+    pair = placed.spec.kind == "pair"
+    for body in [triangles[left], triangles[~left]] if pair else [triangles]:
+        a, b, c = np.moveaxis(vertices[body], 1, 0)
         normals = np.cross(b - a, c - a)
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        center = vertices[start:end].mean(0)
+        length = np.linalg.norm(normals, axis=1)
+        whole = length > 1e-9 * length.max()
+        a, normals = a[whole], normals[whole] / length[whole, None]
         # Outward, whichever way the faces are wound.
-        normals *= np.sign(((a - center) * normals).sum(1))[:, None]
+        normals *= np.sign(((a - a.mean(0)) * normals).sum(1))[:, None]
         heights = points @ normals.T - (a * normals).sum(1)
         deepest = max(deepest, float(-heights.max(1).min()))
     return deepest
 
 
-def plane_of(placed: Placed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def plane_of(item: bpy.types.Object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners of a flat collider, shape [4, 3], and its unit normal."""
-    corners = world_vertices(placed.item)
+    corners, _, _ = world_mesh(item)
     normal = np.cross(corners[1] - corners[0], corners[3] - corners[0])
     return corners, normal / np.linalg.norm(normal)
 
@@ -245,11 +256,11 @@ def check_contact(
             points = positions.astype(np.float64)
             # At the first frame clay is where a person put it.
             free = told or number == built.spec.start
-            if placed.spec.kind not in ("table", "shelf"):
+            if not placed.is_flat:
                 depth = depth_in(placed, points)
                 assert free or depth < deep, f"clay {depth / deep * DEEP:.2f} spacings in {where}"
                 continue
-            corners, normal = plane_of(placed)
+            corners, normal = plane_of(placed.item)
             heights = (points - corners[0]) @ normal
             if number == built.spec.start:
                 endless = one_side(layout.split(heights[:, None]), built.spec.step_length)
