@@ -147,9 +147,7 @@ class MeshColliders:
             same = moving.shape.vertices is before.vertices
             if not same or moving.shape.orientation != before.orientation:
                 moving.first = moving.shape.vertices
-                moving.mesh = _make_mesh(
-                    moving.collider, moving.shape, moving.first, self.device
-                )
+                moving.mesh = _make_mesh(moving.collider, moving.shape, moving.first, self.device)
         for hand in self.hands:
             hand.begin_here()
         self._tell_meshes()
