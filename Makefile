@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # make demo        model, bake, render and export the kindergarten scene into build/demo
 # make test        run all tests                       (TESTS=tests/solver runs some)
+# make fuzz        bake random scenes for two hours   (TACTILE_CLAY_FUZZ_MINUTES=10 for less)
 # make bench       measure speed into build/bench
 # make bench-peers measure other engines beside it, in environments of their own in build/peers
 # make acoustic-peers  try fields and drives against levitate and autd3, in environments likewise
@@ -17,6 +18,7 @@ VENV ?= .venv
 PYTHON ?=
 TESTS ?= tests
 PLATFORMS ?=
+TACTILE_CLAY_FUZZ_MINUTES ?= 120
 
 # A person's own Python settings must not reach into the environment.
 unexport PYTHONPATH PYTHONHOME PYTHONSTARTUP
@@ -26,7 +28,7 @@ python = $(VENV)/bin/python
 # A file's tests stay together, so that what they share is made once.
 workers = --numprocesses auto --maxprocesses 4 --dist loadfile
 
-.PHONY: demo test bench bench-peers acoustic-peers array-peers report extension lint format environment clean
+.PHONY: demo test fuzz bench bench-peers acoustic-peers array-peers report extension lint format environment clean
 .DEFAULT_GOAL = demo
 
 environment:
@@ -37,6 +39,10 @@ demo: environment
 
 test: environment
 	@$(python) -m pytest $(workers) $(TESTS)
+
+fuzz: environment
+	@TACTILE_CLAY_FUZZ_MINUTES='$(TACTILE_CLAY_FUZZ_MINUTES)' $(python) -m pytest -s \
+		tests/reports/test_fuzzed_scenes.py
 
 bench: environment
 	@$(python) -m tactile_clay.tests.bench.run --output build/bench

@@ -194,7 +194,7 @@ def read_collider(
     point, normal = flat
     if is_wheel(item):
         raise SimulationError(
-            f"{item.name!r} has a wheel speed, but an endless plane stands still. Set the "
+            f"{item.name!r} has a wheel speed, but an infinite plane stands still. Set the "
             "speed to 0, or give it thickness (Solidify modifier), so that it is a closed mesh."
         )
     heights = {name: (points - point) @ normal for name, points in clay.items()}

@@ -129,7 +129,7 @@ def check_speeds(scene: bpy.types.Scene) -> None:
         curve = angle_curve(item.tactile_clay.wheel_axle)
         if curve is None or end <= start:
             continue
-        angles = np.array([curve.evaluate(frame) for frame in range(start, end + 1)])
+        angles = np.array([curve.evaluate(time) for time in _times(scene, start, end)])
         steps = np.abs(np.diff(angles))
         if steps.max() > _MAX_TURN:
             worst = int(steps.argmax())

@@ -47,6 +47,10 @@ class _MovingMesh:
     collider: MeshCollider
     mesh: wp.Mesh
     shape: ColliderShape
+    first: NDArray[np.float64]
+    """The vertices that its search tree was made of, shape [V, 3]. A mesh that deforms keeps that
+    tree, and of two faces that are as near as each other the tree says which is found: so a
+    restored mesh must have the very same one."""
     start: wp.array | None = None
     end: wp.array | None = None
     enabled: bool = True
@@ -84,8 +88,10 @@ class MeshColliders:
         self.moving: list[_MovingMesh] = []
         for collider in scene.meshes:
             shape = shape_of(collider, None)
-            mesh = _make_mesh(collider, shape, device)
-            self.moving.append(_MovingMesh(collider, mesh, shape, enabled=collider.enabled))
+            mesh = _make_mesh(collider, shape, shape.vertices, device)
+            self.moving.append(
+                _MovingMesh(collider, mesh, shape, shape.vertices, enabled=collider.enabled)
+            )
         count = len(scene.meshes) + len(scene.hands)
         self.reach = wp.zeros(count, dtype=float, device=device)
         self.travel = wp.zeros(count, dtype=float, device=device)
@@ -142,7 +148,8 @@ class MeshColliders:
             moving.enabled = moving.collider.enabled
             same = moving.shape.vertices is before.vertices
             if not same or moving.shape.orientation != before.orientation:
-                moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
+                moving.first = moving.shape.vertices
+                moving.mesh = _make_mesh(moving.collider, moving.shape, moving.first, self.device)
         for hand in self.hands:
             hand.begin_here()
         self._upload_meshes()
@@ -251,7 +258,7 @@ class MeshColliders:
             before = moving.shape if sweeps else target
             self._update_clearance(index, present=moving.enabled, jumps=not sweeps)
             if turned:
-                moving.mesh = _make_mesh(moving.collider, target, self.device)
+                moving.mesh = _make_mesh(moving.collider, target, moving.first, self.device)
             poses[index] = poses_between(before, target, substeps)
             turning[index] = bool(np.ptp(poses[index, :, 3:], axis=0).max() > 1e-6)
             if not sweeps:
@@ -363,9 +370,13 @@ class MeshColliders:
 def _make_mesh(collider: MeshCollider, shape: ColliderShape, device: wp.Device) -> wp.Mesh:
     """Make the mesh on the device, with its faces flipped if the pose mirrors it."""
     faces = collider.faces if shape.orientation > 0.0 else collider.faces[:, ::-1]
-    return wp.Mesh(
-        points=wp.array(shape.vertices, dtype=wp.vec3, device=device),
+    mesh = wp.Mesh(
+        points=wp.array(first, dtype=wp.vec3, device=device),
         indices=wp.array(np.ascontiguousarray(faces).ravel(), dtype=int, device=device),
-        velocities=wp.zeros(len(shape.vertices), dtype=wp.vec3, device=device),
+        velocities=wp.zeros(len(first), dtype=wp.vec3, device=device),
         support_winding_number=True,
     )
+    if shape.vertices is not first:
+        mesh.points.assign(shape.vertices.astype(np.float32))
+        mesh.refit()
+    return mesh

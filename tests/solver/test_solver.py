@@ -9,7 +9,7 @@ import pytest
 import trimesh
 import warp as wp
 
-from tactile_clay.solver import Material, Scene, Settings, Solver
+from tactile_clay.solver import Material, MeshCollider, Scene, Settings, Solver
 from tactile_clay.solver.plastic_bonds.model import PlasticBonds
 from tactile_clay.tests.experiments.shapes import at, ball, block
 
@@ -63,6 +63,37 @@ def test_snapshot_restores_exactly_into_a_new_solver(tmp_path):
     np.testing.assert_array_equal(resumed.positions(), solver.positions())
     np.testing.assert_array_equal(resumed.velocities(), solver.velocities())
     assert resumed.diagnostics() == solver.diagnostics()
+
+
+@pytest.mark.parametrize("stop", [2, 5, 8])
+def test_snapshot_with_a_deforming_mesh_restores_exactly(stop: int):
+    """Find the very same faces of a mesh that has changed its shape since the solver began."""
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.045)
+
+    def begun() -> tuple[Solver, MeshCollider]:
+        scene = Scene(spacing=0.01)
+        grid = np.stack(np.meshgrid(*[np.arange(-3, 4) * 0.01] * 3), -1).reshape(-1, 3)
+        scene.add_clay(grid + np.array([0.0, 0.0, 0.08]), Material.preset("plasticine"))
+        collider = scene.add_mesh(sphere.vertices, sphere.faces)
+        solver = Solver(scene)
+        solver.begin()
+        return solver, collider
+
+    def go_on(solver: Solver, collider: MeshCollider, steps: range) -> None:
+        for number in steps:
+            swell = 1.0 + 0.01 * (number + 1)
+            collider.set_vertices(sphere.vertices * (1.0, 1.0, swell))
+            solver.step(1 / 60)
+
+    solver, collider = begun()
+    go_on(solver, collider, range(stop))
+    state = solver.snapshot()
+    go_on(solver, collider, range(stop, 14))
+    resumed, collider = begun()
+    resumed.restore(state)
+    go_on(resumed, collider, range(stop, 14))
+    np.testing.assert_array_equal(resumed.positions(), solver.positions())
+    np.testing.assert_array_equal(resumed.velocities(), solver.velocities())
 
 
 def test_snapshot_of_another_scene_is_refused():

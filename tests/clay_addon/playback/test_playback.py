@@ -107,7 +107,7 @@ def test_unusable_meta_says_what_to_do(studio: Any, baked: tuple[Any, Cache]) ->
     path = cache.directory / "meta.json"
     path.write_text(path.read_text().replace('"format_version": 1', '"format_version": 2'))
     studio.scene.frame_set(5)
-    assert "has format 2, and this version of the add-on reads format 1. Bake again." in (
+    assert "has format 2; this version of the add-on reads format 1. Bake again." in (
         playback.message(studio.scene)
     )
 

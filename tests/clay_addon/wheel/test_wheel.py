@@ -195,6 +195,25 @@ def test_wheel_too_fast_for_the_frame_rate_is_refused(studio: Any, tmp_path: Pat
         bake(bpy.context)
 
 
+@pytest.mark.parametrize(("rate", "refused"), [(10, True), (12, False)])
+@pytest.mark.parametrize("stretch", [50, 200])
+def test_time_stretching_makes_no_wheel_faster(
+    studio: Any, tmp_path: Path, rate: int, refused: bool, stretch: int
+) -> None:
+    """What counts is how far a wheel turns from a frame to the next, by the scene's own clock."""
+    studio.clay(location=(0.0, 0.0, 0.02))
+    add_wheel(studio, 300.0)
+    studio.scene.render.fps = rate
+    studio.scene.render.frame_map_new = stretch
+    studio.scene.frame_end = 3
+    studio.save(tmp_path)
+    if refused:
+        with pytest.raises(BakeError, match="turns by 180 degrees"):
+            bake(bpy.context)
+    else:
+        assert bake(bpy.context).baked == 3
+
+
 def test_endless_plane_cannot_be_a_wheel(studio: Any) -> None:
     """Refuse a flat collider with a wheel speed."""
     studio.clay(location=(0.0, 0.0, 0.03))
