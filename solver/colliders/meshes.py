@@ -367,8 +367,17 @@ class MeshColliders:
             hand.restore(state)
 
 
-def _make_mesh(collider: MeshCollider, shape: ColliderShape, device: wp.Device) -> wp.Mesh:
-    """Make the mesh on the device, with its faces flipped if the pose mirrors it."""
+def _make_mesh(
+    collider: MeshCollider, shape: ColliderShape, first: NDArray[np.float64], device: wp.Device
+) -> wp.Mesh:
+    """Make the mesh on the device, with its faces flipped if the pose mirrors it.
+
+    Args:
+        collider: Its faces count.
+        shape: As it is now.
+        first: The vertices of which its search tree is made, shape [V, 3].
+        device: Where to make it.
+    """
     faces = collider.faces if shape.orientation > 0.0 else collider.faces[:, ::-1]
     mesh = wp.Mesh(
         points=wp.array(first, dtype=wp.vec3, device=device),
