@@ -360,7 +360,7 @@ class MeshColliders:
                 -1,
             )
             moving.start = moving.end = None
-            moving.mesh = _make_mesh(moving.collider, moving.shape, self.device)
+            moving.mesh = _make_mesh(moving.collider, moving.shape, moving.first, self.device)
             moving.enabled = not self._contactless[index]
         self._upload_meshes()
         for hand in self.hands:
