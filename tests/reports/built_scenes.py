@@ -164,15 +164,9 @@ def _collider_mesh(spec: Obstacle) -> tuple[Any, Any, float]:
             for vertices, faces in [Shell("box", (6.0, 9.0, 6.0), turned).mesh()]
         ]
         return *_joined(shells), 3.0
-<<<<<<< HEAD
-    sides = (14.0, 14.0, 6.0) if spec.kind == "box" else (9.0, 9.0, 9.0)
-    vertices, faces = Shell(spec.kind, sides, spec.inverted).mesh()
-    return vertices, faces, 0.5 * sides[2]
-=======
     lengths = (14.0, 14.0, 6.0) if spec.kind == "box" else (9.0, 9.0, 9.0)
     vertices, faces = Shell(spec.kind, lengths, spec.inverted).mesh()
     return vertices, faces, 0.5 * lengths[2]
->>>>>>> fuzz
 
 
 def _add_collider(built: BuiltScene, spec: Obstacle, library: Callable[[Any], Any]) -> None:
