@@ -12,7 +12,9 @@ from .colliders.contacts import Contacts
 from .contact.law import MARGIN, ContactPass
 from .core.memory import bytes_held
 from .core.particles import Particles
+from .core.recording_lock import alone
 from .core.regions import Regions
+from .description import passes_of
 from .paper.model import PaperModel
 from .plastic_bonds.model import PlasticBonds
 from .scene.diagnostics import Diagnostics
@@ -88,6 +90,7 @@ class Solver:
         ValueError: The device does not exist, or the clay model does not support hands.
     """
 
+    @alone
     def __init__(self, scene: Scene, settings: Settings | None = None, device: str = "cpu") -> None:
         self.scene = scene
         self.settings = settings or Settings()
@@ -129,6 +132,7 @@ class Solver:
         """
         self._begun = True
 
+    @alone
     def step(self, duration: float = BASE_STEP) -> None:
         """Advance by ``duration`` [s]; colliders reach their last set poses.
 
@@ -303,6 +307,7 @@ class Solver:
         """Particle colors, linear RGBA in 0..1, shape [N, 4], in the order added."""
         return self._colors.copy()
 
+    @alone
     def force_on(self, collider: Plane | MeshCollider | Hand) -> NDArray[np.float64]:
         """Force of the clay on a plane, mesh or hand [N], shape [3], mean over the last step.
 
@@ -321,6 +326,7 @@ class Solver:
         """How deep clay lies in each collider that it touches [m], where it does."""
         return self._contacts.penetrations()
 
+    @alone
     def contacts(self, hand: Hand) -> HandContacts:
         """Forces on the ghosts of a hand's skin, mean over the last step.
 
@@ -336,6 +342,7 @@ class Solver:
                 return known.contacts(self._duration)
         raise ValueError("That hand is not in the scene this solver was built from.")
 
+    @alone
     def diagnostics(self) -> Diagnostics:
         """Measurements of the last step, and counts since the start."""
         count = self.scene.particle_count
@@ -360,19 +367,7 @@ class Solver:
 
     def describe(self) -> str:
         """Text about the passes that this scene needs, in order, and their memory."""
-        passes = self._model.passes()
-        if self.scene.meshes:
-            passes.append(f"contact with {len(self.scene.meshes)} meshes")
-        for hand in self.scene.hands:
-            passes.insert(
-                0,
-                f"soft hand of {len(hand.rig.nodes)} nodes, {len(hand.rig.tetrahedra)} tetrahedra",
-            )
-        if self.scene.hands:
-            passes.append(f"contact with {len(self.scene.hands)} hands, forces on their ghosts")
-        if self.scene.planes:
-            passes.append(f"contact with {len(self.scene.planes)} planes")
-        passes.append("motion")
+        passes = passes_of(self.scene, self._model.passes())
         held = bytes_held(self, set())
         lines = [
             f"{self.scene.particle_count} particles, {len(self._particles.mass)} materials, "
@@ -400,6 +395,7 @@ class Solver:
             **self._regions.snapshot(),
         }
 
+    @alone
     def restore(self, snapshot: dict[str, NDArray]) -> None:
         """Restore a state returned by `snapshot`.
 
@@ -429,6 +425,7 @@ class Solver:
         self._model.restore(snapshot)
         self._contacts.restore(snapshot)
 
+    @alone
     def restore_clay(self, snapshot: dict[str, NDArray]) -> None:
         """Restore the clay from a snapshot, but not colliders and hands, which may differ.
 

@@ -144,7 +144,7 @@ class FlatCollider:
         if not is_enabled(self.item, depsgraph):
             raise SimulationError(
                 f"{self.item.name!r} does not touch the clay at frame "
-                f"{frame}, but an endless plane always does. Switch "
+                f"{frame}, but an infinite plane always does. Switch "
                 "Touches Clay and the viewport's monitor on, or give it thickness (Solidify "
                 "modifier), so that it is a closed mesh."
             )

@@ -50,9 +50,9 @@ MINUTES = float(os.environ.get("TACTILE_CLAY_FUZZ_MINUTES", "0"))
 DEEP = 0.25
 """Clay deeper than this in a collider is a fault unless it is told, in spacings."""
 REFUSALS = [
-    "does not touch the clay at frame .*endless plane",
-    "moves at frame .*endless plane stands still",
-    "has a wheel speed, but an endless plane stands still",
+    "does not touch the clay at frame .*infinite plane",
+    "moves at frame .*infinite plane cannot move",
+    "has a wheel speed, but an infinite plane stands still",
     "cuts through '.*': its particles lie on both sides",
     "is switched off in the viewport, or its collection is excluded",
 ]

@@ -80,3 +80,38 @@ def test_threads_that_hold_the_lock_work_beside_recordings() -> None:
     assert launches > 0
     np.testing.assert_array_equal(recorded.numpy(), 2.0 * rounds * LAUNCHES)
     np.testing.assert_array_equal(beside.numpy(), float(launches))
+
+
+def test_a_solver_that_still_steps_does_not_harm_the_next_one() -> None:
+    """An ended session finishes its step on its own thread while the next solver is made."""
+
+    def scene() -> Scene:
+        made = Scene(0.005)
+        made.add_clay(block(6, 0.005), Material())
+        made.add_plane()
+        return made
+
+    known = Solver(scene())
+    for _ in range(6):
+        known.step()
+    expected = known.positions()
+    errors: list[Exception] = []
+
+    def step(solver: Solver) -> None:
+        try:
+            # The first step of a length launches, the second records, the third replays.
+            for _ in range(6):
+                solver.step()
+        except (RuntimeError, AttributeError) as error:
+            errors.append(error)
+
+    for _ in range(25):
+        first = Solver(scene())
+        running = threading.Thread(target=step, args=(first,))
+        running.start()
+        second = Solver(scene())
+        step(second)
+        running.join()
+        for solver in (first, second):
+            np.testing.assert_array_equal(solver.positions(), expected)
+    assert not errors
