@@ -84,6 +84,8 @@ class Blender:
             inside = self.path_inside(argument) if isinstance(argument, Path) else argument
             command.append(inside)
         environment = {key: value for key, value in os.environ.items() if "PYTHON" not in key}
+        # Blender ignores a folder that is not there where it finds a profile in the home folder.
+        self.profile.mkdir(parents=True, exist_ok=True)
         environment["BLENDER_USER_RESOURCES"] = self.path_inside(self.profile)
         process = subprocess.Popen(
             command,
